@@ -1,0 +1,115 @@
+# The table of contents of chores. `make` alone lists them.
+#
+# Needs: git, make, Python >= 3.11 with venv and pip. Everything else is installed into .venv from hashed locks.
+
+SHELL := /bin/bash
+.SHELLFLAGS := -euo pipefail -c
+.DELETE_ON_ERROR:
+.DEFAULT_GOAL := help
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.ready
+
+# Two cores, two test workers: one thread each for the numeric libraries, or they fight over the cores.
+export OMP_NUM_THREADS ?= 1
+export OPENBLAS_NUM_THREADS ?= 1
+export NUMBA_NUM_THREADS ?= 2
+export MPLBACKEND ?= Agg
+# uv: one wheel tree for the whole environment; plain copies where the cache lies on another file system.
+export UV_LINK_MODE ?= copy
+export UV_NO_CONFIG ?= 1
+WORKERS ?= 2
+
+# What exists of the places that hold Python (the checks take the same list everywhere).
+CODE := $(wildcard roadgrip rsu_app vehicle_client training migrations tests bench deploy)
+
+.PHONY: help setup demo test test-long test-fast coverage check format-check format lint types contracts bench lock \
+        bundle wheel hooks clean
+
+help: ## List the chores
+	@awk 'BEGIN {FS = ":.*## "} /^[a-z][a-z-]*:.*## / {printf "  make %-13s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+
+setup: $(STAMP) ## Make .venv with everything locked in requirements/dev.txt (does nothing when it is there)
+
+# uv installs the locked list in seconds. Where its binary does not run, pip reads the same hashed file, slowly.
+$(STAMP): requirements/bootstrap.txt requirements/dev.txt pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
+	  echo "roadgrip needs Python 3.11 or newer; $(PYTHON) is $$($(PYTHON) --version). Try: make setup PYTHON=python3.11" >&2; exit 1; }
+	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	@echo "setting up $(VENV) ..."
+	@export PIP_DISABLE_PIP_VERSION_CHECK=1; \
+	if $(BIN)/python -m pip install --quiet --require-hashes -r requirements/bootstrap.txt && $(BIN)/uv --version >/dev/null 2>&1; then \
+	  $(BIN)/uv pip sync --quiet --python $(BIN)/python --require-hashes requirements/dev.txt; \
+	  $(BIN)/uv pip install --quiet --python $(BIN)/python --no-deps --no-build-isolation --editable .; \
+	else \
+	  echo "uv does not run here; pip takes over (minutes instead of seconds)"; \
+	  $(BIN)/python -m pip install --quiet --require-hashes -r requirements/dev.txt; \
+	  $(BIN)/python -m pip install --quiet --no-deps --no-build-isolation --editable .; \
+	fi
+	@touch $@
+	@echo "ready: $$($(BIN)/python --version) in $(VENV)"
+
+demo: $(STAMP) ## Watch the whole system do its job: vehicles, frames, estimates, interval, advisory (under 3 minutes)
+	@$(BIN)/python deploy/demo/run.py $(ARGS)
+
+test: $(STAMP) ## Run the tests (two workers, within 8 minutes on two cores)
+	@$(BIN)/python -m pytest -n $(WORKERS) --dist loadgroup $(ARGS)
+
+test-fast: $(STAMP) ## Run the tests that start no processes, for a quick answer while working
+	@$(BIN)/python -m pytest -n $(WORKERS) --dist loadgroup -m "not long and not system" $(ARGS)
+
+test-long: $(STAMP) ## Run the long variants too
+	@$(BIN)/python -m pytest -n $(WORKERS) --dist loadgroup -m "long or not long" --timeout 3600 $(ARGS)
+
+coverage: $(STAMP) ## Branch coverage; compiled functions run interpreted, so this takes its time
+	@NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -n $(WORKERS) --dist loadgroup -m "not long and not system" --timeout 1800 \
+	  --cov --cov-report=term $(ARGS)
+
+check: format-check lint types contracts test ## All checks, in the order a developer wants to fail
+
+format-check: $(STAMP)
+	@$(BIN)/ruff format --check $(CODE)
+
+format: $(STAMP) ## Format the code and mend what can be mended
+	@$(BIN)/ruff format $(CODE)
+	@$(BIN)/ruff check --fix $(CODE)
+
+lint: $(STAMP) ## ruff: every rule minus the exceptions that pyproject.toml gives reasons for
+	@$(BIN)/ruff check $(CODE)
+
+types: $(STAMP) ## mypy, strict
+	@$(BIN)/mypy $(CODE)
+
+contracts: $(STAMP) ## import-linter: which package may know which
+	@$(BIN)/lint-imports --no-cache
+
+bench: $(STAMP) ## Run the benchmarks; each prints a table and writes JSON
+	@shopt -s nullglob; found=0; \
+	for script in bench/bench_*.py; do found=1; echo "== $$script"; $(BIN)/python "$$script" $(ARGS); done; \
+	test $$found = 1 || echo "no benchmarks yet"
+
+# Without UPGRADE=1 the pins that still fit stay. The roles are held to what the tests ran with.
+# --universal covers every platform's hashes, x86-64 and aarch64 among them; the check keeps index addresses out.
+COMPILE = $(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-header --no-emit-index-url \
+          --custom-compile-command "make lock" $(if $(UPGRADE),--upgrade)
+lock: $(STAMP) ## Remake the hashed locks, one per role (UPGRADE=1 takes newer versions)
+	@echo uv | $(COMPILE) --no-annotate -o requirements/bootstrap.txt -
+	@$(COMPILE) pyproject.toml --extra demo --extra training --group dev -c requirements/bootstrap.txt -o requirements/dev.txt
+	@for role in rsu vehicle training; do \
+	  $(COMPILE) pyproject.toml --extra $$role -c requirements/dev.txt -o requirements/$$role.txt; done
+	@! grep -nE '(://|^--(index|extra-index|find-links|trusted-host)|^-[if] )' requirements/*.txt
+
+bundle: $(STAMP) ## Remake the default model bundle from simulated drives
+	@$(BIN)/roadgrip-train default-bundle $(ARGS)
+
+wheel: $(STAMP) ## Build dist/roadgrip-*.whl
+	@rm -rf dist && $(BIN)/python -m build --no-isolation --wheel .
+
+hooks: $(STAMP) ## Run the quick checks before every commit
+	@$(BIN)/pre-commit install
+
+clean: ## Remove everything that was made, the environment included
+	@rm -rf $(VENV) build dist .coverage .coverage.* .mypy_cache .pytest_cache .ruff_cache .hypothesis .import_linter_cache
+	@find $(CODE) -name __pycache__ -type d -prune -exec rm -rf {} +

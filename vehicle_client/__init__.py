@@ -1,0 +1,1 @@
+"""The vehicle: a drive through a curve in, a kinematic summary out."""
