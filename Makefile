@@ -17,9 +17,8 @@ export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 export NUMBA_NUM_THREADS ?= 2
 export MPLBACKEND ?= Agg
-# uv: one wheel tree for the whole environment; plain copies where the cache lies on another file system.
+# uv: plain copies, since the cache may lie on another file system.
 export UV_LINK_MODE ?= copy
-export UV_NO_CONFIG ?= 1
 WORKERS ?= 2
 
 # What exists of the places that hold Python (the checks take the same list everywhere).
@@ -99,6 +98,8 @@ lock: $(STAMP) ## Remake the hashed locks, one per role (UPGRADE=1 takes newer v
 	@$(COMPILE) pyproject.toml --extra demo --extra training --group dev -c requirements/bootstrap.txt -o requirements/dev.txt
 	@for role in rsu vehicle training; do \
 	  $(COMPILE) pyproject.toml --extra $$role -c requirements/dev.txt -o requirements/$$role.txt; done
+	@for lock in requirements/*.txt; do \
+	  grep -q '^# Made by' $$lock || sed -i '1i # Made by `make lock` for Python 3.11 and later, x86-64 and aarch64; not edited by hand.' $$lock; done
 	@! grep -nE '(://|^--(index|extra-index|find-links|trusted-host)|^-[if] )' requirements/*.txt
 
 bundle: $(STAMP) ## Remake the default model bundle from simulated drives
