@@ -1,0 +1,138 @@
+"""Drives with known friction as a table: one row per run, features and label, in Parquet.
+
+Runs that gave no summary (the car left the road, the onboard client refused the trace) stay in the table with their
+outcome and NaN features: a data set that forgets its failures looks better than the road.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from roadgrip.errors import RoadgripError
+from roadgrip.features import FEATURE_NAMES, TABLE_DIGEST, check_digest
+from roadgrip.units import FloatArray
+
+COMPLETED = "completed"
+_METADATA_KEY = b"roadgrip"
+
+LABEL_COLUMNS = ("label_mu", "base_friction_mu", "wear_ratio", "esc_active_frac", "peak_utilisation_ratio")
+"""What is known about a run beyond its features, as numbers."""
+
+
+class DatasetError(RoadgripError):
+    """A table of runs that cannot be used; the message says why."""
+
+
+@dataclass(frozen=True, slots=True)
+class Runs:
+    """Simulated or measured runs, one row each.
+
+    Attributes:
+        features: In the order of the feature table; NaN in rows without a summary. (n, 78)
+        labels: One array per name of `LABEL_COLUMNS`. Each (n,)
+        section_id: The section of each run. (n,)
+        outcome: "completed", or why there is no summary. (n,)
+        run_key: Name of each run inside its design; the run's seed follows from it. (n,)
+    """
+
+    features: FloatArray
+    labels: dict[str, FloatArray]
+    section_id: tuple[str, ...]
+    outcome: tuple[str, ...]
+    run_key: tuple[str, ...]
+
+    def __len__(self) -> int:
+        """Return the number of runs."""
+        return len(self.features)
+
+    @property
+    def usable(self) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+        """Which rows have a summary and a label: a mask of shape (n,)."""
+        completed = np.array([outcome == COMPLETED for outcome in self.outcome], dtype=bool)
+        return completed & np.isfinite(self.features).all(axis=1) & np.isfinite(self.labels["label_mu"])
+
+    def digest(self) -> str:
+        """Return sixteen hexadecimal characters that name the content, whatever the order of the rows."""
+        order = np.argsort(np.array(self.run_key))
+        digest = hashlib.sha256(TABLE_DIGEST.encode())
+        digest.update("\n".join(f"{self.run_key[i]}|{self.outcome[i]}" for i in order).encode())
+        digest.update(self.features[order].astype("<f4").tobytes())
+        for name in LABEL_COLUMNS:
+            digest.update(self.labels[name][order].astype("<f8").tobytes())
+        return digest.hexdigest()[:16]
+
+
+def write_runs(runs: Runs, path: Path, *, description: dict[str, str]) -> None:
+    """Write the runs as one Parquet file, whole or not at all.
+
+    Args:
+        runs: The rows.
+        path: The file; its folder must exist.
+        description: Where the rows come from, kept in the file's metadata beside the feature table's digest.
+    """
+    columns: dict[str, object] = {"run_key": list(runs.run_key)}
+    columns["section_id"] = list(runs.section_id)
+    columns["outcome"] = list(runs.outcome)
+    columns |= {name: runs.labels[name] for name in LABEL_COLUMNS}
+    columns |= {name: runs.features[:, i].astype(np.float32) for i, name in enumerate(FEATURE_NAMES)}
+    metadata = {_METADATA_KEY: json.dumps({**description, "table_digest": TABLE_DIGEST}, sort_keys=True).encode()}
+    table = pa.table(columns).replace_schema_metadata(metadata)
+    partial = path.with_suffix(".partial")
+    pq.write_table(table, partial, compression="zstd")
+    partial.replace(path)
+
+
+def read_runs(source: Path) -> Runs:
+    """Return the runs of one Parquet file, or of all of them in a folder in the order of their names.
+
+    Raises:
+        DatasetError: There is no such file, or it is no table of runs.
+        FeatureTableError: It was made for another feature table.
+    """
+    paths = sorted(source.glob("*.parquet")) if source.is_dir() else [source]
+    if not paths or not all(path.is_file() for path in paths):
+        raise DatasetError(f"no Parquet files at {source}; make some with `roadgrip-train simulate`")
+    parts = [_read_one(path) for path in paths]
+    return Runs(
+        features=np.concatenate([part.features for part in parts]),
+        labels={name: np.concatenate([part.labels[name] for part in parts]) for name in LABEL_COLUMNS},
+        section_id=tuple(s for part in parts for s in part.section_id),
+        outcome=tuple(o for part in parts for o in part.outcome),
+        run_key=tuple(k for part in parts for k in part.run_key),
+    )
+
+
+def read_description(path: Path) -> dict[str, str]:
+    """Return what a Parquet file of runs says about its origin.
+
+    Raises:
+        DatasetError: The file is no table of runs.
+    """
+    try:
+        metadata = pq.read_schema(path).metadata or {}
+        description: dict[str, str] = json.loads(metadata[_METADATA_KEY])
+    except (pa.ArrowException, OSError, KeyError, ValueError) as error:
+        raise DatasetError(f"{path} is no table of runs: {error}") from error
+    return description
+
+
+def _read_one(path: Path) -> Runs:
+    check_digest(read_description(path)["table_digest"], subject=str(path))
+    table = pq.read_table(path)
+    missing = {"run_key", "section_id", "outcome", *LABEL_COLUMNS, *FEATURE_NAMES} - set(table.column_names)
+    if missing:
+        raise DatasetError(f"{path} lacks the columns {sorted(missing)}")
+    return Runs(
+        features=np.column_stack([table[name].to_numpy() for name in FEATURE_NAMES]).astype(np.float64),
+        labels={name: table[name].to_numpy().astype(np.float64) for name in LABEL_COLUMNS},
+        section_id=tuple(table["section_id"].to_pylist()),
+        outcome=tuple(table["outcome"].to_pylist()),
+        run_key=tuple(table["run_key"].to_pylist()),
+    )

@@ -1,0 +1,145 @@
+"""The global regressor: boosted trees from a kinematic summary and the road's features to friction."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import xgboost
+
+from roadgrip.units import FloatArray
+from training.dataset import DatasetError, Runs
+
+HOLD_OUT_FRAC = 0.1
+"""The paper's split: nine tenths to learn from, one tenth to be judged on."""
+_FEWEST_RUNS = 50
+
+
+@dataclass(frozen=True, slots=True)
+class FitParameters:
+    """How the trees are grown.
+
+    Attributes:
+        trees_count: Boosting rounds.
+        depth_count: Levels of one tree.
+        learning_rate_ratio: Share of each tree's correction that is taken.
+        row_share_frac: Share of the rows each tree sees.
+        column_share_frac: Share of the features each tree sees.
+        seed: Of the split and of the trees.
+    """
+
+    trees_count: int = 300
+    depth_count: int = 6
+    learning_rate_ratio: float = 0.08
+    row_share_frac: float = 0.8
+    column_share_frac: float = 0.6
+    seed: int = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Fitted:
+    """A fitted regressor with the rows it was judged on.
+
+    Attributes:
+        booster: The trees.
+        train_rows: Indices of the rows it learned from.
+        test_rows: Indices of the rows it never saw.
+        metrics: Figures of merit on `test_rows`.
+    """
+
+    booster: xgboost.Booster
+    train_rows: np.ndarray[tuple[int], np.dtype[np.intp]]
+    test_rows: np.ndarray[tuple[int], np.dtype[np.intp]]
+    metrics: dict[str, float]
+
+
+def mape_ratio(truth_mu: FloatArray, estimate_mu: FloatArray) -> float:
+    """Return the mean absolute error relative to the truth.
+
+    References:
+        Langstrand and Rabi, equation of the MAPE.
+    """
+    return float(np.mean(np.abs(truth_mu - estimate_mu) / truth_mu))
+
+
+def relative_rms_ratio(truth_mu: FloatArray, estimate_mu: FloatArray) -> float:
+    """Return the root mean square of the errors relative to the truth."""
+    return float(np.sqrt(np.mean(((truth_mu - estimate_mu) / truth_mu) ** 2)))
+
+
+def estimate_mu(booster: xgboost.Booster, features: FloatArray) -> FloatArray:
+    """Return the friction the trees give for rows of features: (n, 78) in, (n,) out."""
+    return booster.predict(xgboost.DMatrix(features.astype(np.float32))).astype(np.float64)
+
+
+def fit(runs: Runs, parameters: FitParameters, *, on_round: Callable[[int], None] | None = None) -> Fitted:
+    """Return trees fitted to nine tenths of the usable runs and judged on the rest.
+
+    The same runs and parameters give the same trees, whatever the order of the rows.
+
+    Args:
+        runs: Rows with features and labels; rows without a summary are left out.
+        parameters: How the trees are grown.
+        on_round: Called after each boosting round with its number, for a progress bar.
+
+    Raises:
+        DatasetError: There are too few usable runs.
+    """
+    order = np.argsort(np.array(runs.run_key), kind="stable")
+    usable = order[runs.usable[order]]
+    if len(usable) < _FEWEST_RUNS:
+        raise DatasetError(f"{len(usable)} usable runs; at least {_FEWEST_RUNS} are needed")
+    shuffled = np.random.default_rng(parameters.seed).permutation(usable)
+    test_count = max(1, round(HOLD_OUT_FRAC * len(shuffled)))
+    test_rows, train_rows = shuffled[:test_count], shuffled[test_count:]
+    label_mu = runs.labels["label_mu"]
+    matrix = xgboost.DMatrix(runs.features[train_rows].astype(np.float32), label=label_mu[train_rows])
+    booster = xgboost.train(
+        {
+            "objective": "reg:squarederror",
+            "max_depth": parameters.depth_count,
+            "eta": parameters.learning_rate_ratio,
+            "subsample": parameters.row_share_frac,
+            "colsample_bytree": parameters.column_share_frac,
+            "tree_method": "hist",
+            "seed": parameters.seed,
+        },
+        matrix,
+        num_boost_round=parameters.trees_count,
+        callbacks=[_RoundReporter(on_round)] if on_round else None,
+    )
+    metrics = judge(
+        runs.labels["label_mu"][test_rows],
+        estimate_mu(booster, runs.features[test_rows]),
+        section_id=[runs.section_id[i] for i in test_rows],
+    )
+    return Fitted(booster=booster, train_rows=train_rows, test_rows=test_rows, metrics=metrics)
+
+
+def judge(truth_mu: FloatArray, estimated_mu: FloatArray, *, section_id: list[str]) -> dict[str, float]:
+    """Return figures of merit, over all rows and for each section with at least ten rows."""
+    metrics = {
+        "rows_count": float(len(truth_mu)),
+        "mape_ratio": mape_ratio(truth_mu, estimated_mu),
+        "relative_rms_ratio": relative_rms_ratio(truth_mu, estimated_mu),
+    }
+    sections = np.array(section_id)
+    for name in sorted(set(section_id)):
+        rows = sections == name
+        if rows.sum() >= 10:
+            metrics[f"mape_ratio.{name}"] = mape_ratio(truth_mu[rows], estimated_mu[rows])
+    return metrics
+
+
+class _RoundReporter(xgboost.callback.TrainingCallback):
+    """Tells how many rounds are done."""
+
+    def __init__(self, on_round: Callable[[int], None]) -> None:
+        super().__init__()
+        self._on_round = on_round
+
+    def after_iteration(self, model: object, epoch: int, evals_log: object) -> bool:
+        del model, evals_log
+        self._on_round(epoch + 1)
+        return False
