@@ -1,0 +1,68 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from roadgrip.errors import FeatureTableError
+from tests.training.runs import made_up_runs, shuffled
+from training.dataset import DatasetError, read_description, read_runs, write_runs
+
+
+def test_runs_come_back_from_parquet_as_they_were_written(tmp_path: Path) -> None:
+    runs = made_up_runs(40)
+    write_runs(runs, tmp_path / "a.parquet", description={"design": "made up"})
+    assert read_runs(tmp_path / "a.parquet").digest() == runs.digest()
+    assert read_description(tmp_path / "a.parquet")["design"] == "made up"
+
+
+def test_a_folder_of_shards_reads_as_one_table(tmp_path: Path) -> None:
+    first, second = made_up_runs(30, seed=1), made_up_runs(20, seed=2)
+    write_runs(first, tmp_path / "0.parquet", description={})
+    write_runs(second, tmp_path / "1.parquet", description={})
+    assert len(read_runs(tmp_path)) == 50
+
+
+def test_digest_does_not_depend_on_the_order_of_runs() -> None:
+    runs = made_up_runs(60)
+    assert shuffled(runs, seed=3).digest() == runs.digest()
+
+
+def test_digest_sees_one_changed_number() -> None:
+    runs = made_up_runs(60)
+    before = runs.digest()
+    runs.features[7, 11] += 1e-3
+    assert runs.digest() != before
+
+
+def test_failed_runs_stay_in_the_table_and_are_not_usable(tmp_path: Path) -> None:
+    write_runs(made_up_runs(40), tmp_path / "a.parquet", description={})
+    runs = read_runs(tmp_path)
+    assert len(runs) == 40
+    assert runs.usable.sum() == 36
+    assert [runs.outcome[i] for i in np.flatnonzero(~runs.usable)] == ["left_road"] * 4
+
+
+def test_an_empty_folder_is_an_error_that_says_how_to_fill_it(tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match="roadgrip-train simulate"):
+        read_runs(tmp_path)
+
+
+def test_a_file_that_is_no_table_of_runs_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.parquet"
+    path.write_bytes(b"not parquet")
+    with pytest.raises(DatasetError, match="no table of runs"):
+        read_runs(path)
+
+
+def test_a_table_made_for_other_features_is_refused_with_both_digests(tmp_path: Path) -> None:
+    path = tmp_path / "a.parquet"
+    write_runs(made_up_runs(20), path, description={})
+    table = pq.read_table(path)
+    table = table.replace_schema_metadata({b"roadgrip": json.dumps({"table_digest": "0123456789abcdef"}).encode()})
+    pq.write_table(table, path)
+    with pytest.raises(FeatureTableError, match="0123456789abcdef"):
+        read_runs(path)

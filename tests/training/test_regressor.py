@@ -1,0 +1,83 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from roadgrip.errors import BundleError
+from tests.training.runs import made_up_runs, shuffled
+from training.dataset import DatasetError
+from training.export import check_parity, onnx_estimate_mu, parity_rows, to_onnx
+from training.regressor import FitParameters, estimate_mu, fit, judge, mape_ratio, relative_rms_ratio
+
+QUICK = FitParameters(trees_count=60)
+
+
+def test_mape_and_rms_of_known_numbers() -> None:
+    truth, estimate = np.array([0.2, 0.5]), np.array([0.22, 0.45])
+    assert mape_ratio(truth, estimate) == pytest.approx(0.1)
+    assert relative_rms_ratio(truth, estimate) == pytest.approx(0.1)
+
+
+def test_trees_learn_a_law_well_below_the_spread_of_the_labels() -> None:
+    runs = made_up_runs(2000)
+    fitted = fit(runs, QUICK)
+    label_mu = runs.labels["label_mu"][fitted.test_rows]
+    guess = mape_ratio(label_mu, np.full_like(label_mu, label_mu.mean()))
+    assert fitted.metrics["mape_ratio"] < 0.4 * guess
+
+
+def test_rows_for_judging_are_not_learned_from_and_failed_runs_are_in_neither() -> None:
+    runs = made_up_runs(500)
+    fitted = fit(runs, QUICK)
+    train, test = set(fitted.train_rows.tolist()), set(fitted.test_rows.tolist())
+    assert not train & test
+    assert train | test == set(np.flatnonzero(runs.usable).tolist())
+
+
+def test_the_order_of_the_rows_does_not_change_the_trees() -> None:
+    runs = made_up_runs(600)
+    rows = np.nan_to_num(runs.features)
+    one, other = fit(runs, QUICK), fit(shuffled(runs, seed=5), QUICK)
+    assert np.array_equal(estimate_mu(one.booster, rows), estimate_mu(other.booster, rows))
+
+
+def test_too_few_runs_are_refused() -> None:
+    with pytest.raises(DatasetError, match="usable runs"):
+        fit(made_up_runs(30), QUICK)
+
+
+def test_figures_of_merit_are_also_told_per_section() -> None:
+    truth = np.full(40, 0.4)
+    estimate = np.where(np.arange(40) % 2 == 0, 0.4, 0.44)
+    metrics = judge(truth, estimate, section_id=["even" if i % 2 == 0 else "odd" for i in range(40)])
+    assert metrics["mape_ratio.even"] == 0.0
+    assert metrics["mape_ratio.odd"] == pytest.approx(0.1)
+
+
+def test_the_export_answers_as_the_trees_do_on_thousands_of_rows_edges_included() -> None:
+    runs = made_up_runs(1500)
+    fitted = fit(runs, QUICK)
+    rows = parity_rows(runs.features[fitted.train_rows], rng=np.random.default_rng(1))
+    assert len(rows) >= 2000
+    assert check_parity(fitted.booster, to_onnx(fitted.booster), rows) < 1e-5
+
+
+def test_an_export_of_other_trees_does_not_pass_the_gate() -> None:
+    runs = made_up_runs(1500)
+    fitted, other = fit(runs, QUICK), fit(runs, FitParameters(trees_count=61))
+    rows = parity_rows(runs.features[fitted.train_rows], rng=np.random.default_rng(1))
+    with pytest.raises(BundleError, match="differs from the trained one"):
+        check_parity(fitted.booster, to_onnx(other.booster), rows)
+
+
+def test_parity_on_a_handful_of_rows_is_refused() -> None:
+    runs = made_up_runs(500)
+    fitted = fit(runs, QUICK)
+    with pytest.raises(BundleError, match="proves nothing"):
+        check_parity(fitted.booster, to_onnx(fitted.booster), runs.features[:5])
+
+
+def test_the_export_gives_one_friction_per_row() -> None:
+    runs = made_up_runs(500)
+    model = to_onnx(fit(runs, QUICK).booster)
+    assert onnx_estimate_mu(model, np.zeros((7, runs.features.shape[1]))).shape == (7,)
