@@ -60,7 +60,7 @@ test-fast: $(STAMP) ## Run the tests that start no processes, for a quick answer
 	@$(BIN)/python -m pytest -n $(WORKERS) --dist loadgroup -m "not long and not system" $(ARGS)
 
 test-long: $(STAMP) ## Run the long variants too
-	@$(BIN)/python -m pytest -n $(WORKERS) --dist loadgroup -m "long or not long" --timeout 3600 $(ARGS)
+	@HYPOTHESIS_PROFILE=long $(BIN)/python -m pytest -n $(WORKERS) --dist loadgroup -m "long or not long" --timeout 3600 $(ARGS)
 
 coverage: $(STAMP) ## Branch coverage; compiled functions run interpreted, so this takes its time
 	@NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -n $(WORKERS) --dist loadgroup -m "not long and not system" --timeout 1800 \
