@@ -1,0 +1,274 @@
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from roadgrip.features import TABLE_DIGEST
+from roadgrip.records import (
+    VEHICLE_FRAME_BUDGET,
+    Accepted,
+    AdvisoryNotice,
+    Arrival,
+    MapOffer,
+    Message,
+    NotCounted,
+    Outcome,
+    Passage,
+    Reason,
+    Receipt,
+    Rejected,
+)
+from roadgrip.section import RoadSection
+from tests.vehicle_client.shell.air import ADVICE, BEND, PASSAGE_ID, SUMMARY, Air, Ether, Fate, TokenCodec, Unit, bend
+from vehicle_client.shell.exchange import Ending, Exchange, ExchangeRecord, Patience, Stage
+
+LOST = Fate.LOST
+
+
+def an_exchange(ether: Ether, *, known: RoadSection | None = None, spent: int = 0) -> Exchange:
+    return Exchange(
+        passage_id=PASSAGE_ID,
+        section_id="bend",
+        codec=TokenCodec(ether),
+        known_section=known,
+        frames_spent_count=spent,
+    )
+
+
+def a_passage(
+    fates: Iterable[Fate] = (), *, outcomes: Iterable[Outcome] = (Accepted(),), frames_per_message: int = 1
+) -> tuple[ExchangeRecord, Air]:
+    """Play a whole passage of 30 s."""
+    ether = Ether(frames_per_message)
+    exchange = an_exchange(ether)
+    air = Air(exchange, Unit(TokenCodec(ether), outcomes=list(outcomes)), iter(fates))
+    air.send(exchange.begin(now_s=0.0), up=True)
+    air.play(limit_s=30.0)
+    air.now_s = 30.0
+    if exchange.section is None:
+        exchange.withhold(Reason.WRONG_ROAD)
+    else:
+        air.send(
+            exchange.report(SUMMARY, map_version=exchange.section.version, left_at_s=29.0, now_s=air.now_s), up=True
+        )
+        air.play(until=Stage.ENDED)
+    return exchange.record(), air
+
+
+def test_a_clean_exchange_costs_the_vehicle_two_frames_and_the_unit_three():
+    record, air = a_passage()
+    assert (record.ending, record.outcome) == (Ending.ACCEPTED, Accepted())
+    assert (record.frames_sent_count, record.frames_received_count) == (2, 3)
+    assert record.advisory == ADVICE
+    assert record.map_version == BEND.version
+    assert [type(m) for m in air.unit.heard] == [Arrival, Passage]
+
+
+def test_a_vehicle_that_has_the_map_asks_for_the_advisory_only():
+    ether = Ether()
+    exchange = an_exchange(ether, known=BEND)
+    air = Air(exchange, Unit(TokenCodec(ether)), iter(()))
+    air.send(exchange.begin(now_s=0.0), up=True)
+    air.play(until=Stage.DRIVING)
+    assert exchange.record().frames_received_count == 1
+    assert exchange.section == BEND
+
+
+def test_a_vehicle_with_an_old_map_gets_the_new_one():
+    ether = Ether()
+    exchange = an_exchange(ether, known=bend(speed_limit_mps=22.0))
+    air = Air(exchange, Unit(TokenCodec(ether)), iter(()))
+    air.send(exchange.begin(now_s=0.0), up=True)
+    air.play(until=Stage.DRIVING)
+    assert exchange.section == BEND
+
+
+def test_an_advisory_for_another_map_makes_the_vehicle_ask_for_that_map():
+    exchange = an_exchange(ether := Ether(), known=BEND)
+    exchange.begin(now_s=0.0)
+    (frame,) = ether.put(AdvisoryNotice("bend", "another-version", ADVICE, issued_unix_s=0))
+    exchange.receive(frame, now_s=0.1)
+    (again,) = exchange.tick(now_s=1.0)
+    assert ether.cargo[again][2] == Arrival(PASSAGE_ID, "bend", known_map_version="")
+
+
+def test_the_age_is_encoded_anew_for_every_try():
+    # The summary is lost twice; map and advisory took the first three fates.
+    _, air = a_passage([Fate.ARRIVES] * 3 + [LOST, LOST])
+    (heard,) = [m for m in air.unit.heard if isinstance(m, Passage)]
+    assert heard.age_s == pytest.approx(1.0 + 0.5 + 1.0)
+
+
+def test_without_any_answer_the_vehicle_gives_up_within_its_tries_and_may_spool():
+    ether = Ether()
+    exchange = an_exchange(ether, known=BEND)
+    air = Air(exchange, Unit(TokenCodec(ether)), iter([LOST] * 99))
+    air.send(exchange.begin(now_s=0.0), up=True)
+    air.play(until=Stage.DRIVING)
+    assert exchange.stage is Stage.DRIVING
+    air.send(exchange.report(SUMMARY, map_version=BEND.version, left_at_s=29.0, now_s=30.0), up=True)
+    air.play(until=Stage.ENDED)
+    record = exchange.record()
+    assert record.ending is Ending.UNANSWERED
+    assert record.may_spool
+    assert (record.arrival_tries_count, record.report_tries_count, record.frames_sent_count) == (3, 5, 8)
+
+
+def test_a_vehicle_that_never_got_the_map_sends_no_summary():
+    record, air = a_passage([LOST] * 3)
+    assert record.ending is Ending.NO_MAP
+    assert not record.may_spool
+    assert air.unit.heard == []
+
+
+def test_a_refusal_for_now_is_tried_again_later():
+    record, air = a_passage(outcomes=[Rejected(Reason.BUSY), Rejected(Reason.NO_MODEL), Accepted()])
+    assert record.ending is Ending.ACCEPTED
+    assert record.report_tries_count == 3
+    assert air.now_s > 30.0 + 2.0 + 4.0
+
+
+def test_a_unit_that_stays_busy_leaves_the_passage_to_the_spool():
+    record, _ = a_passage(outcomes=[Rejected(Reason.BUSY)])
+    assert record.ending is Ending.POSTPONED
+    assert record.may_spool
+    assert record.outcome == Rejected(Reason.BUSY)
+
+
+def test_a_refusal_for_good_ends_the_exchange():
+    record, _ = a_passage(outcomes=[Rejected(Reason.STALE_MAP, "newer map")])
+    assert record.ending is Ending.REJECTED
+    assert not record.may_spool
+    assert record.report_tries_count == 1
+
+
+def test_an_accepted_passage_that_is_not_counted_ends_the_exchange_too():
+    record, _ = a_passage(outcomes=[Accepted(NotCounted.OUT_OF_ENVELOPE)])
+    assert record.ending is Ending.ACCEPTED
+    assert record.outcome == Accepted(NotCounted.OUT_OF_ENVELOPE)
+
+
+def test_a_spooled_summary_spends_what_is_left_of_the_budget():
+    ether = Ether()
+    exchange = an_exchange(ether, spent=VEHICLE_FRAME_BUDGET - 2)
+    air = Air(exchange, Unit(TokenCodec(ether)), iter([LOST] * 99))
+    air.send(exchange.report(SUMMARY, map_version=BEND.version, left_at_s=0.0, now_s=900.0), up=True)
+    air.play(until=Stage.ENDED)
+    assert air.sent_count == 2
+    assert exchange.record().frames_sent_count == VEHICLE_FRAME_BUDGET
+
+
+def test_a_message_larger_than_what_is_left_is_not_begun():
+    ether = Ether(frames_per_message=3)
+    exchange = an_exchange(ether, spent=VEHICLE_FRAME_BUDGET - 2)
+    assert exchange.report(SUMMARY, map_version=BEND.version, left_at_s=0.0, now_s=900.0) == ()
+    assert exchange.record().ending is Ending.UNANSWERED
+
+
+def test_nothing_is_sent_to_a_unit_whose_model_serves_another_feature_table():
+    exchange = an_exchange(ether := Ether())
+    exchange.begin(now_s=0.0)
+    (frame,) = ether.put(MapOffer(BEND, ("another-table",)))
+    exchange.receive(frame, now_s=0.1)
+    assert exchange.report(SUMMARY, map_version=BEND.version, left_at_s=9.0, now_s=10.0) == ()
+    record = exchange.record()
+    assert (record.ending, record.withheld) == (Ending.WITHHELD, Reason.WRONG_FEATURE_TABLE)
+
+
+def test_a_withheld_summary_says_why():
+    exchange = an_exchange(Ether(), known=BEND)
+    exchange.begin(now_s=0.0)
+    exchange.withhold(Reason.TOO_SHORT)
+    assert (exchange.record().ending, exchange.record().withheld) == (Ending.WITHHELD, Reason.TOO_SHORT)
+
+
+def test_what_is_meant_for_somebody_else_changes_nothing():
+    ether = Ether()
+    exchange = an_exchange(ether)
+    exchange.begin(now_s=0.0)
+    foreign: list[Message] = [
+        MapOffer(bend("elsewhere"), (TABLE_DIGEST,)),
+        AdvisoryNotice("elsewhere", BEND.version, ADVICE, issued_unix_s=0),
+        Receipt(bytes(16), Accepted()),
+        Receipt(PASSAGE_ID, Accepted()),  # nothing was reported yet
+        Arrival(bytes(16), "bend"),
+    ]
+    for message in foreign:
+        (frame,) = ether.put(message)
+        exchange.receive(frame, now_s=0.1)
+    assert exchange.stage is Stage.ARRIVING
+    assert exchange.section is None
+    assert exchange.advisory is None
+    assert exchange.record().messages_ignored_count == len(foreign)
+
+
+def test_a_duplicate_of_a_busy_receipt_does_not_push_the_next_try_away():
+    exchange = an_exchange(ether := Ether(), known=BEND)
+    exchange.report(SUMMARY, map_version=BEND.version, left_at_s=0.0, now_s=0.0)
+    for now_s in (0.1, 1.9):
+        (frame,) = ether.put(Receipt(PASSAGE_ID, Rejected(Reason.BUSY)))
+        exchange.receive(frame, now_s=now_s)
+    assert exchange.wake_at_s == pytest.approx(2.1)
+
+
+def test_an_exchange_begins_once_and_reports_once():
+    exchange = an_exchange(Ether(), known=BEND)
+    exchange.begin(now_s=0.0)
+    with pytest.raises(ValueError, match="begins once"):
+        exchange.begin(now_s=0.0)
+    exchange.report(SUMMARY, map_version=BEND.version, left_at_s=0.0, now_s=0.0)
+    with pytest.raises(ValueError, match="reported once"):
+        exchange.report(SUMMARY, map_version=BEND.version, left_at_s=0.0, now_s=0.0)
+    with pytest.raises(ValueError, match="already been sent"):
+        exchange.withhold(Reason.TOO_SHORT)
+
+
+def test_stretched_patience_keeps_its_counts():
+    stretched = Patience().stretched(60.0)
+    assert stretched.reply_s == pytest.approx(30.0)
+    assert replace(stretched, reply_s=0.5, longest_s=6.0, postpone_s=2.0) == Patience()
+
+
+def test_waits_grow_and_stop_growing():
+    patience = Patience(reply_s=0.5, backoff_ratio=2.0, longest_s=3.0)
+    assert [patience.wait_s(0.5, tries_count=n) for n in (1, 2, 3, 4, 5)] == [0.5, 1.0, 2.0, 3.0, 3.0]
+
+
+fates = st.lists(st.sampled_from(Fate), max_size=60)
+outcomes = st.lists(
+    st.sampled_from(
+        [Rejected(Reason.BUSY), Rejected(Reason.STORE_UNAVAILABLE), Rejected(Reason.STALE_MAP), Accepted()]
+    ),
+    min_size=1,
+    max_size=6,
+)
+
+
+@given(fates=fates, outcomes=outcomes, frames_per_message=st.integers(1, 4))
+def test_whatever_the_air_does_the_budget_holds_and_the_exchange_ends(
+    fates: list[Fate], outcomes: list[Outcome], frames_per_message: int
+):
+    record, air = a_passage(fates, outcomes=outcomes, frames_per_message=frames_per_message)
+    assert air.sent_count == record.frames_sent_count <= VEHICLE_FRAME_BUDGET
+    assert air.exchange.stage is Stage.ENDED
+    if record.ending is Ending.ACCEPTED:
+        assert air.unit.stored[PASSAGE_ID] == record.outcome == Accepted()
+    if record.ending is Ending.REJECTED:
+        assert record.outcome == air.unit.stored[PASSAGE_ID]
+
+
+@given(fates=st.lists(st.sampled_from([Fate.ARRIVES, Fate.TWICE, Fate.LATE]), max_size=40))
+def test_duplicates_and_delays_never_cost_a_passage(fates: list[Fate]):
+    record, air = a_passage(fates)
+    assert record.ending is Ending.ACCEPTED
+    assert list(air.unit.stored) == [PASSAGE_ID]
+
+
+@given(lost=st.sets(st.integers(0, 12), max_size=2))
+def test_two_lost_frames_never_cost_a_passage(lost: set[int]):
+    record, _ = a_passage([LOST if i in lost else Fate.ARRIVES for i in range(13)])
+    assert record.ending is Ending.ACCEPTED
