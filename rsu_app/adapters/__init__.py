@@ -1,0 +1,1 @@
+"""Where the road side unit touches the world; each package is the one door to its heavy dependency."""

@@ -1,0 +1,1 @@
+"""HTTP: people, other machines, and vehicles over cellular."""

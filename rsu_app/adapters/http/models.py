@@ -1,0 +1,260 @@
+"""What goes over HTTP as JSON: SI units in every name, and the way to and from the records.
+
+The models only say what JSON is; whether a passage is plausible is decided where frames are judged too.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from roadgrip.features import KINEMATIC_FEATURES, TABLE_DIGEST
+from roadgrip.records import (
+    PASSAGE_ID_BYTES,
+    Accepted,
+    Advisory,
+    AdvisoryReason,
+    Confidence,
+    FrictionInterval,
+    KinematicSummary,
+    NotCounted,
+    Passage,
+    QualityFlag,
+)
+from roadgrip.section import BankOrigin, Direction, RoadSection
+
+HexId = Annotated[
+    str,
+    Field(
+        pattern=r"^[0-9a-f]{32}$",
+        description="16 random bytes in lower-case hexadecimal, new for every passage; twice the same changes nothing.",
+    ),
+]
+
+
+class _Model(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=True)
+
+
+class AnchorModel(_Model):
+    """A point of the centre line in geographic coordinates (WGS 84)."""
+
+    station_m: float
+    lat_deg: float
+    lon_deg: float
+
+
+class SectionModel(_Model):
+    """A section the unit serves."""
+
+    section_id: str = Field(examples=["long-turn"])
+    name: str
+    direction: Direction
+    map_version: str = Field(description="Digest of the map; a passage names the map it was cut with.")
+    table_digests: tuple[str, ...] = Field(description="Feature tables the unit accepts summaries for.")
+    length_m: float
+    tightest_radius_m: float
+    speed_limit_mps: float
+    bank_origin: BankOrigin
+    anchors: tuple[AnchorModel, ...] = Field(description="Empty when the map has no geographic reference.")
+    links: dict[str, str] = Field(description="Where to go from here.")
+
+
+class SectionsModel(_Model):
+    """The sections a unit serves."""
+
+    sections: tuple[SectionModel, ...]
+
+
+class IntervalModel(_Model):
+    """The friction that tyres from worn to new find on a section, from the median of the last hour."""
+
+    mu_low: float = Field(description="Lower end, 0.8 mu_new.", examples=[0.28])
+    mu_new: float = Field(description="What a new tyre finds.", examples=[0.35])
+    median_mu: float
+    median_low_mu: float = Field(description="Lower end of the confidence interval of the median.")
+    median_high_mu: float
+    coverage_frac: float = Field(description="Probability with which that interval covers the true median.")
+    passages_count: int
+    confidence: Confidence
+    newest_age_s: float
+    valid_for_s: float
+
+
+class FrictionModel(_Model):
+    """The friction of a section; `interval` is null while there is nothing to publish, and `confidence` says why."""
+
+    section_id: str
+    map_version: str
+    confidence: Confidence
+    interval: IntervalModel | None
+
+
+class AdvisoryModel(_Model):
+    """What drivers are told."""
+
+    section_id: str
+    map_version: str
+    speed_mps: float = Field(description="A multiple of 5 km/h.", examples=[13.89])
+    reason: AdvisoryReason
+    confidence: Confidence
+    valid_for_s: float
+    issued_unix_s: int = Field(description="The unit's wall clock, or 0 when it cannot be trusted.")
+    interval: IntervalModel | None
+
+
+class PassageModel(_Model):
+    """One vehicle's pass over the section: the JSON form of the message SUMMARY."""
+
+    model_config = ConfigDict(
+        frozen=True,
+        extra="forbid",
+        # NaN reaches the plausibility check, which refuses it as `not_finite` and not as bad JSON.
+        allow_inf_nan=True,
+        json_schema_extra={
+            "examples": [
+                {
+                    "passage_id": "00112233445566778899aabbccddeeff",
+                    "map_version": "0123456789abcdef",
+                    "table_digest": TABLE_DIGEST,
+                    "duration_s": 27.4,
+                    "age_s": 1.2,
+                    "quality": 0,
+                    "values": [0.0] * len(KINEMATIC_FEATURES),
+                }
+            ]
+        },
+    )
+
+    passage_id: HexId
+    map_version: str = Field(max_length=64, description="Version of the map the summary was cut with.")
+    table_digest: str = Field(max_length=64, description="Feature table the values were made for.")
+    duration_s: float = Field(description="Time spent inside the section.")
+    age_s: float = Field(description="Time since the vehicle left the section, by its own monotonic clock.")
+    quality: int = Field(default=0, ge=0, le=0xFFFF, description="Flags the vehicle sets about its own summary.")
+    values: tuple[float, ...] = Field(
+        max_length=256, description="The kinematic features in the order of the feature table."
+    )
+
+    def to_record(self, section_id: str) -> Passage:
+        """Return the record."""
+        return Passage(
+            passage_id=bytes.fromhex(self.passage_id),
+            section_id=section_id,
+            map_version=self.map_version,
+            summary=KinematicSummary(
+                values=self.values,
+                table_digest=self.table_digest,
+                duration_s=self.duration_s,
+                quality=QualityFlag(self.quality),
+            ),
+            age_s=self.age_s,
+        )
+
+
+class ReceiptModel(_Model):
+    """The passage is stored. It never holds the estimate, which would train liars."""
+
+    passage_id: HexId
+    outcome: str = Field(default="accepted", examples=["accepted"])
+    counted: bool = Field(description="Whether it enters the window.")
+    not_counted: tuple[str, ...] = Field(description="Why it does not.", examples=[["out_of_envelope"]])
+
+
+class DetectionModel(_Model):
+    """A loop or a camera reports a vehicle at the entry of the section."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", json_schema_extra={"examples": [{"source": "loop-1"}]})
+
+    source: str = Field(default="", max_length=48, description="Name of the detector, for the log.")
+
+
+class BroadcastModel(_Model):
+    """What a detection set in motion."""
+
+    frames_sent_count: int
+    bytes_sent_count: int
+
+
+class ConditionModel(_Model):
+    """One condition of readiness."""
+
+    name: str
+    ok: bool
+    detail: str
+
+
+class ReadinessModel(_Model):
+    """Whether the unit does its job, and if not why."""
+
+    ready: bool
+    conditions: tuple[ConditionModel, ...]
+
+
+class LivenessModel(_Model):
+    """The process answers."""
+
+    live: bool = True
+    version: str
+
+
+def section_model(section: RoadSection, table_digests: tuple[str, ...]) -> SectionModel:
+    """Return the section as the listing shows it."""
+    here = f"/v1/sections/{section.section_id}"
+    return SectionModel(
+        section_id=section.section_id,
+        name=section.name,
+        direction=section.direction,
+        map_version=section.version,
+        table_digests=table_digests,
+        length_m=round(section.length_m, 3),
+        tightest_radius_m=round(section.tightest_radius_m, 3),
+        speed_limit_mps=section.speed_limit_mps,
+        bank_origin=section.bank_origin,
+        anchors=tuple(
+            AnchorModel(station_m=a.station_m, lat_deg=a.lat_deg, lon_deg=a.lon_deg) for a in section.anchors
+        ),
+        links={name: f"{here}/{name}" for name in ("map", "advisory", "friction", "passages")},
+    )
+
+
+def interval_model(interval: FrictionInterval | None) -> IntervalModel | None:
+    """Return the interval as JSON shows it."""
+    if interval is None:
+        return None
+    return IntervalModel(
+        mu_low=interval.mu_low,
+        mu_new=interval.mu_new,
+        median_mu=interval.median_mu,
+        median_low_mu=interval.median_low_mu,
+        median_high_mu=interval.median_high_mu,
+        coverage_frac=interval.coverage_frac,
+        passages_count=interval.passages_count,
+        confidence=interval.confidence,
+        newest_age_s=interval.newest_age_s,
+        valid_for_s=interval.valid_for_s,
+    )
+
+
+def advisory_model(section: RoadSection, advisory: Advisory, *, issued_unix_s: int) -> AdvisoryModel:
+    """Return the advisory as JSON shows it."""
+    return AdvisoryModel(
+        section_id=section.section_id,
+        map_version=section.version,
+        speed_mps=advisory.speed_mps,
+        reason=advisory.reason,
+        confidence=advisory.confidence,
+        valid_for_s=advisory.valid_for_s,
+        issued_unix_s=issued_unix_s,
+        interval=interval_model(advisory.interval),
+    )
+
+
+def receipt_model(passage_id: bytes, outcome: Accepted) -> ReceiptModel:
+    """Return the receipt of an accepted passage."""
+    flags = tuple((flag.name or "").lower() for flag in NotCounted if flag and flag in outcome.flags)
+    return ReceiptModel(passage_id=passage_id.hex(), counted=outcome.counted, not_counted=flags)
+
+
+assert PASSAGE_ID_BYTES * 2 == 32, "HexId spells the length of a passage id"  # noqa: S101 - checked when imported

@@ -1,0 +1,1 @@
+"""UDP: frames as a V2X radio delivers them."""

@@ -1,0 +1,203 @@
+"""What the unit tells its operator: log lines on standard output, and metrics for Prometheus.
+
+One canonical line is written for every passage, with everything one would ask about it. Log volume has a budget:
+above it lines are dropped and counted, since a unit whose disk is full of complaints serves nobody.
+`deploy/README.md` holds the table that `metrics_table` makes; a test keeps the two alike.
+"""
+
+from __future__ import annotations
+
+import logging
+import platform
+import sys
+import time
+from collections.abc import Callable, MutableMapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
+
+import structlog
+from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, generate_latest
+from prometheus_client.process_collector import ProcessCollector
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+OTHER_SECTION = "other"
+"""Label of a section this unit does not serve: a sender must not be able to make labels."""
+
+_LATENCY_BUCKETS_S = (0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0)
+_INFERENCE_BUCKETS_S = (1e-5, 2.5e-5, 5e-5, 1e-4, 2.5e-4, 5e-4, 1e-3, 2.5e-3, 5e-3, 1e-2, 0.1)
+
+
+class Metrics:
+    """Every metric of the unit, in a registry of its own.
+
+    Labels come from closed sets (sections served, reason codes, message types), so that no sender can make series.
+    """
+
+    def __init__(self, *, version: str, section_ids: Iterable[str]) -> None:
+        """Register everything, so that a series shows zero before it shows one."""
+        self.registry = CollectorRegistry()
+        self._section_ids = frozenset(section_ids)
+        self._made: list[MetricRow] = []
+        ProcessCollector(registry=self.registry)
+
+        self.build_info = self._gauge("roadgrip_build_info", "1; the labels say what runs.", "version", "python")
+        self.build_info.labels(version, platform.python_version()).set(1)
+        self.ready = self._gauge("roadgrip_ready", "1 while the unit is ready, as `/health/ready` says.")
+        self.passages = self._counter(
+            "roadgrip_passages_total",
+            "Passages by outcome (`counted`, `uncounted`, `rejected`), reason and the way they came.",
+            "section",
+            "outcome",
+            "reason",
+            "via",
+        )
+        self.ingest_duration = self._histogram(
+            "roadgrip_ingest_duration_seconds", "From a whole passage to its committed outcome.", _LATENCY_BUCKETS_S
+        )
+        self.inference_duration = self._histogram(
+            "roadgrip_inference_duration_seconds", "Time of one call of the model.", _INFERENCE_BUCKETS_S
+        )
+        self.in_flight = self._gauge("roadgrip_ingest_in_flight", "Passages in work.")
+        self.store_queue = self._gauge("roadgrip_store_queue_depth", "Passages that wait for a commit.")
+        self.frames_received = self._counter("roadgrip_frames_received_total", "Frames that came in.", "via")
+        self.frames_sent = self._counter("roadgrip_frames_sent_total", "Frames sent.", "via", "message")
+        self.frames_dropped = self._counter(
+            "roadgrip_frames_dropped_total", "Frames that led to nothing, by reason.", "via", "reason"
+        )
+        self.frames_withheld = self._counter(
+            "roadgrip_frames_withheld_total", "Frames not sent because a budget was used up.", "message"
+        )
+        self.frame_duplicates = self._counter("roadgrip_frame_duplicates_total", "Frames that had come before.", "via")
+        self.messages_received = self._counter(
+            "roadgrip_messages_received_total", "Whole messages that came in.", "via", "message"
+        )
+        self.assemblies = self._gauge("roadgrip_assemblies", "Incomplete messages kept.")
+        self.assemblies_evicted = self._counter(
+            "roadgrip_assemblies_evicted_total", "Incomplete messages forgotten, for age or for room."
+        )
+        self.refusals_withheld = self._counter(
+            "roadgrip_refusals_withheld_total", "Rejections not sent because of `frames.refusals_per_s`."
+        )
+        self.detections = self._counter(
+            "roadgrip_detections_total", "Vehicles reported by a loop or a camera.", "section"
+        )
+        self.mu_low = self._gauge("roadgrip_interval_mu_low", "Lower end of the friction interval.", "section")
+        self.mu_new = self._gauge("roadgrip_interval_mu_new", "Upper end of the friction interval.", "section")
+        self.median_mu = self._gauge("roadgrip_interval_median_mu", "Median of the counted estimates.", "section")
+        self.window_passages = self._gauge("roadgrip_window_passages", "Counted passages in the window.", "section")
+        self.advisory_speed = self._gauge("roadgrip_advisory_speed_mps", "Advised speed.", "section")
+        self.stream_clients = self._gauge("roadgrip_stream_clients", "Open event streams.")
+        self.http_requests = self._counter(
+            "roadgrip_http_requests_total", "Requests by route and status.", "route", "status"
+        )
+        self.log_lines_dropped = self._counter(
+            "roadgrip_log_lines_dropped_total", "Log lines above the budget `log.lines_limit_per_s`."
+        )
+
+    def section_label(self, section_id: str) -> str:
+        """Return the section's id if the unit serves it, or `other`."""
+        return section_id if section_id in self._section_ids else OTHER_SECTION
+
+    def exposition(self) -> bytes:
+        """Return all metrics in the text format of Prometheus."""
+        return generate_latest(self.registry)
+
+    def rows(self) -> tuple[MetricRow, ...]:
+        """Return every metric of ours as the documentation shows it."""
+        return tuple(self._made)
+
+    def _counter(self, name: str, meaning: str, *labels: str) -> Counter:
+        self._made.append(MetricRow(name, "counter", labels, meaning))
+        return Counter(name, meaning, labels, registry=self.registry)
+
+    def _gauge(self, name: str, meaning: str, *labels: str) -> Gauge:
+        self._made.append(MetricRow(name, "gauge", labels, meaning))
+        return Gauge(name, meaning, labels, registry=self.registry)
+
+    def _histogram(self, name: str, meaning: str, buckets: tuple[float, ...]) -> Histogram:
+        self._made.append(MetricRow(name, "histogram", (), meaning))
+        return Histogram(name, meaning, registry=self.registry, buckets=buckets)
+
+
+@dataclass(frozen=True, slots=True)
+class MetricRow:
+    """One metric as the documentation shows it."""
+
+    name: str
+    kind: str
+    labels: tuple[str, ...]
+    meaning: str
+
+
+def metrics_table() -> str:
+    """Return the table of all metrics as Markdown, as `deploy/README.md` holds it."""
+    lines = ["| metric | type | labels | meaning |", "|---|---|---|---|"]
+    for row in Metrics(version="", section_ids=()).rows():
+        labels = ", ".join(f"`{label}`" for label in row.labels)
+        lines.append(f"| `{row.name}` | {row.kind} | {labels} | {row.meaning} |")
+    return "\n".join(lines) + "\n"
+
+
+class LineBudget:
+    """A structlog processor that drops lines above so many a second, and counts them."""
+
+    def __init__(
+        self, lines_limit_per_s: float, on_drop: Callable[[], None], now_s: Callable[[], float] = time.monotonic
+    ) -> None:
+        """Start with one second's worth of lines."""
+        self._limit_per_s = lines_limit_per_s
+        self._on_drop = on_drop
+        self._now_s = now_s
+        self._left = lines_limit_per_s
+        self._at_s = now_s()
+
+    def __call__(self, _logger: object, method: str, event: MutableMapping[str, Any]) -> MutableMapping[str, Any]:
+        """Return the event, or drop it; warnings and worse always pass."""
+        now_s = self._now_s()
+        self._left = min(self._limit_per_s, self._left + (now_s - self._at_s) * self._limit_per_s)
+        self._at_s = now_s
+        if method in {"warning", "error", "critical", "exception"}:
+            return event
+        if self._left < 1.0:
+            self._on_drop()
+            raise structlog.DropEvent
+        self._left -= 1.0
+        return event
+
+
+def configure_logging(
+    *,
+    level: str,
+    style: Literal["json", "text"],
+    lines_limit_per_s: float,
+    on_drop: Callable[[], None],
+) -> None:
+    """Send the log lines of this process, and those of the libraries, to standard output in one form."""
+    shared: list[structlog.typing.Processor] = [
+        structlog.stdlib.add_log_level,
+        structlog.processors.TimeStamper(fmt="iso", utc=True, key="at"),
+    ]
+    final: list[structlog.typing.Processor] = (
+        [structlog.processors.dict_tracebacks, structlog.processors.JSONRenderer()]
+        if style == "json"
+        else [structlog.dev.ConsoleRenderer(colors=sys.stdout.isatty())]
+    )
+    severity = getattr(logging, level.upper())
+    structlog.configure(
+        processors=[LineBudget(lines_limit_per_s, on_drop), *shared, *final],
+        wrapper_class=structlog.make_filtering_bound_logger(severity),
+        logger_factory=structlog.WriteLoggerFactory(file=sys.stdout),
+        cache_logger_on_first_use=False,
+    )
+    handler = logging.StreamHandler(sys.stdout)
+    handler.setFormatter(
+        structlog.stdlib.ProcessorFormatter(
+            foreign_pre_chain=[*shared, structlog.stdlib.add_logger_name],
+            processors=[structlog.stdlib.ProcessorFormatter.remove_processors_meta, *final],
+        )
+    )
+    root = logging.getLogger()
+    root.handlers = [handler]
+    root.setLevel(max(severity, logging.WARNING))

@@ -1,0 +1,387 @@
+"""The one frozen record of settings: a TOML file, overruled by environment variables `ROADGRIP_SECTION__NAME`.
+
+Every default is safe: the unit listens on this machine only, needs no root and writes below the working directory.
+Relative paths in a configuration file are relative to that file's folder.
+`deploy/README.md` holds the table that `settings_table` makes; a test keeps the two alike.
+"""
+
+from __future__ import annotations
+
+import os
+import tomllib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from ipaddress import ip_address
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict
+
+from roadgrip.errors import ConfigurationError
+from roadgrip.units import WINDOW_S
+
+ENV_PREFIX = "ROADGRIP_"
+ENV_DELIMITER = "__"
+
+Port = Annotated[int, Field(ge=0, le=65_535)]
+"""A UDP or TCP port; 0 lets the machine choose, which tests use."""
+
+
+def _address(value: str) -> str:
+    if value:
+        ip_address(value)
+    return value
+
+
+Address = Annotated[str, AfterValidator(_address)]
+"""A literal IPv4 or IPv6 address: a unit beside a road must not hang on a name server."""
+
+
+class _Group(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class DatabaseSettings(_Group):
+    """Where passages are kept, and for how long."""
+
+    path: Path = Field(
+        default=Path("roadgrip.sqlite3"), description="SQLite file; its folder must exist and be writable."
+    )
+    queue_limit_count: int = Field(
+        default=1_024, ge=1, le=100_000, description="Passages that may wait for a commit; more are refused as `busy`."
+    )
+    retention_s: float = Field(
+        default=90 * 86_400.0,
+        ge=WINDOW_S,
+        description="Stored passages older than this are deleted, never those of the window.",
+    )
+    prune_period_s: float = Field(default=600.0, ge=1.0, description="How often old passages are looked for.")
+
+
+class SectionSettings(_Group):
+    """One section the unit serves."""
+
+    file: str = Field(
+        min_length=1,
+        description="Path of a section file (`.json`), or the name of a packaged one, such as `long-turn`.",
+    )
+    winter_speed_mps: float | None = Field(
+        default=None,
+        ge=1.0,
+        le=60.0,
+        description="Winter speed of this section; left out, `advisory.winter_speed_mps` holds.",
+    )
+
+
+class ModelSettings(_Group):
+    """The model that turns a passage into friction."""
+
+    bundle_path: Path | None = Field(
+        default=None, description="Folder of a model bundle; left out, the packaged default is used."
+    )
+
+
+class AdvisorySettings(_Group):
+    """How careful the advice is."""
+
+    winter_speed_mps: float = Field(
+        default=13.89,
+        ge=1.0,
+        le=60.0,
+        description="What is advised while too few vehicles passed or the unit cannot know better.",
+    )
+
+
+class HttpSettings(_Group):
+    """HTTP: people, other machines, and vehicles over cellular."""
+
+    host: Address = Field(
+        default="127.0.0.1", description="Address to listen on; `0.0.0.0` opens the unit to its network."
+    )
+    port: Port = Field(default=8_080, description="TCP port.")
+    body_limit_bytes: int = Field(
+        default=65_536,
+        ge=4_096,
+        le=16_777_216,
+        description="Largest request body; larger ones get 413 without being read.",
+    )
+    stream_clients_limit_count: int = Field(
+        default=64, ge=0, le=10_000, description="Clients of the event stream at one time; more get 503."
+    )
+    stream_heartbeat_s: float = Field(
+        default=15.0,
+        gt=0.0,
+        le=300.0,
+        description="A silent event stream says so this often, so that a dead client is noticed.",
+    )
+    shutdown_s: int = Field(
+        default=5, ge=1, le=120, description="How long open requests may take to finish when the unit stops."
+    )
+
+
+class UdpSettings(_Group):
+    """UDP: frames as a V2X radio delivers them."""
+
+    enabled: bool = Field(default=True, description="Whether the unit listens for frames over UDP.")
+    host: Address = Field(
+        default="127.0.0.1", description="Address to listen on; `0.0.0.0` opens the unit to its network."
+    )
+    port: Port = Field(default=4_740, description="UDP port.")
+    broadcast_host: Address = Field(
+        default="",
+        description="Address that beacons and detections are sent to (unicast, broadcast or multicast); empty: none.",
+    )
+    broadcast_port: Port = Field(default=4_741, description="UDP port that beacons and detections are sent to.")
+    beacon_period_s: float = Field(
+        default=10.0, ge=0.0, le=3_600.0, description="How often each section is announced; 0 sends no beacons."
+    )
+    receive_buffer_bytes: int = Field(
+        default=4_194_304,
+        ge=65_536,
+        description="Socket buffer asked for, so that a burst of vehicles is not dropped by the kernel.",
+    )
+
+
+class FrameSettings(_Group):
+    """Budgets of the exchange of frames; each bounds memory or work that a sender could cause."""
+
+    assembly_timeout_s: float = Field(
+        default=30.0, gt=0.0, le=600.0, description="A message whose frames have not all come by then is forgotten."
+    )
+    assembly_limit_count: int = Field(
+        default=1_024, ge=1, le=100_000, description="Incomplete messages kept at one time, over all senders."
+    )
+    assembly_limit_bytes: int = Field(
+        default=8_388_608, ge=65_536, description="Memory for incomplete messages, over all senders."
+    )
+    exchange_limit_count: int = Field(
+        default=4_096, ge=16, le=1_000_000, description="Passages whose frame budget is remembered at one time."
+    )
+    exchange_timeout_s: float = Field(
+        default=3_600.0, ge=60.0, le=86_400.0, description="How long the frame budget of a passage is remembered."
+    )
+    refusals_per_s: float = Field(
+        default=20.0,
+        ge=0.0,
+        le=10_000.0,
+        description="Most rejections sent per second over UDP; all are counted in the metrics.",
+    )
+
+
+class IngestSettings(_Group):
+    """How much work the unit takes on."""
+
+    in_flight_limit_count: int = Field(
+        default=256,
+        ge=1,
+        le=100_000,
+        description="Passages in work at one time, over UDP and HTTP; more are refused as `busy`.",
+    )
+
+
+class SigningSettings(_Group):
+    """COSE signatures on messages, in both directions."""
+
+    key_file: Path | None = Field(
+        default=None,
+        description="Ed25519 private key (PEM) that signs what the unit sends; left out, nothing is signed.",
+    )
+    key_id: str = Field(
+        default="", max_length=32, description="Name of that key as receivers know it; empty: its file's stem."
+    )
+    trusted_keys_folder: Path | None = Field(
+        default=None,
+        description="Folder of Ed25519 public keys (`NAME.pem`); a signed message is checked against them.",
+    )
+    required: bool = Field(
+        default=False, description="Whether passages without a good signature are refused as `unsigned`."
+    )
+
+    @model_validator(mode="after")
+    def _trust_something(self) -> SigningSettings:
+        if self.required and self.trusted_keys_folder is None:
+            message = "required needs trusted_keys_folder, or no message could ever be accepted"
+            raise ValueError(message)
+        return self
+
+
+class ClockSettings(_Group):
+    """Time."""
+
+    speedup_ratio: float = Field(
+        default=1.0,
+        gt=0.0,
+        le=10_000.0,
+        description="Seconds per second. For demonstrations only; anything but 1 is logged loudly.",
+    )
+
+
+class LogSettings(_Group):
+    """Logs go to standard output."""
+
+    level: Literal["debug", "info", "warning", "error"] = Field(
+        default="info", description="Least severity that is written."
+    )
+    lines_limit_per_s: float = Field(
+        default=200.0, ge=1.0, description="Lines above this are dropped and counted; warnings and errors never."
+    )
+    style: Literal["json", "text"] = Field(
+        default="json", description="`json`: one object a line; `text`: for a person's eyes."
+    )
+
+
+class Settings(BaseSettings):
+    """Everything an operator may choose."""
+
+    model_config = SettingsConfigDict(
+        frozen=True,
+        extra="forbid",
+        env_prefix=ENV_PREFIX,
+        env_nested_delimiter=ENV_DELIMITER,
+        env_ignore_empty=True,
+        allow_inf_nan=False,
+    )
+
+    sections: tuple[SectionSettings, ...] = Field(
+        default=(SectionSettings(file="long-turn"),), min_length=1, description="The sections this unit serves."
+    )
+    database: DatabaseSettings = DatabaseSettings()
+    model: ModelSettings = ModelSettings()
+    advisory: AdvisorySettings = AdvisorySettings()
+    http: HttpSettings = HttpSettings()
+    udp: UdpSettings = UdpSettings()
+    frames: FrameSettings = FrameSettings()
+    ingest: IngestSettings = IngestSettings()
+    signing: SigningSettings = SigningSettings()
+    clock: ClockSettings = ClockSettings()
+    log: LogSettings = LogSettings()
+
+    @classmethod
+    def settings_customise_sources(
+        cls,
+        settings_cls: type[BaseSettings],  # noqa: ARG003 - the library calls with these five
+        init_settings: PydanticBaseSettingsSource,
+        env_settings: PydanticBaseSettingsSource,
+        dotenv_settings: PydanticBaseSettingsSource,  # noqa: ARG003 - same
+        file_secret_settings: PydanticBaseSettingsSource,  # noqa: ARG003 - same
+    ) -> tuple[PydanticBaseSettingsSource, ...]:
+        """Return the sources, strongest first: the environment overrules what the file says (it comes as `init`)."""
+        return env_settings, init_settings
+
+
+def load_settings(config_file: Path | None) -> Settings:
+    """Return the settings of a TOML file, overruled by the environment, on top of the defaults.
+
+    Args:
+        config_file: None takes the defaults and the environment.
+
+    Raises:
+        ConfigurationError: The file cannot be read, or something in it or in the environment cannot be; the message
+            names every offending setting.
+    """
+    content: dict[str, Any] = {}
+    if config_file is not None:
+        try:
+            content = tomllib.loads(config_file.read_text(encoding="utf-8"))
+        except OSError as error:
+            raise ConfigurationError(f"cannot read {config_file}: {error.strerror}") from error
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            raise ConfigurationError(f"{config_file} is not TOML: {error}") from error
+        _anchor_paths(content, config_file.resolve().parent)
+    _refuse_unknown_variables()
+    try:
+        return Settings(**content)
+    except ValidationError as error:
+        problems = "; ".join(f"{'.'.join(map(str, e['loc'])) or 'settings'}: {e['msg']}" for e in error.errors())
+        raise ConfigurationError(f"{config_file or 'environment'}: {problems}") from error
+    except ValueError as error:  # an environment variable that should be JSON and is not
+        raise ConfigurationError(f"environment: {error}") from error
+
+
+def is_packaged_name(file: str) -> bool:
+    """Return whether a section is named rather than given as a path."""
+    return not file.endswith(".json") and os.sep not in file
+
+
+@dataclass(frozen=True, slots=True)
+class SettingRow:
+    """One setting as the documentation shows it."""
+
+    name: str
+    variable: str
+    default: str
+    description: str
+
+
+def settings_rows() -> tuple[SettingRow, ...]:
+    """Return every setting in the order of the record."""
+    return tuple(_rows(Settings, ()))
+
+
+def settings_table() -> str:
+    """Return the table of all settings as Markdown, as `deploy/README.md` holds it."""
+    lines = ["| setting | environment | default | meaning |", "|---|---|---|---|"]
+    lines += [f"| `{r.name}` | `{r.variable}` | {r.default} | {r.description} |" for r in settings_rows()]
+    return "\n".join(lines) + "\n"
+
+
+def _rows(model: type[BaseModel], above: tuple[str, ...]) -> Iterator[SettingRow]:
+    for name, field in model.model_fields.items():
+        path = (*above, name)
+        annotation = field.annotation
+        if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+            yield from _rows(annotation, path)
+            continue
+        variable = ENV_PREFIX + ENV_DELIMITER.join(path).upper()
+        if name == "sections":
+            yield SettingRow(
+                "sections",
+                variable,
+                '`[{file = "long-turn"}]`',
+                (field.description or "") + " In the environment: JSON.",
+            )
+            yield from (
+                SettingRow(f"sections[].{row.name}", "", row.default, row.description)
+                for row in _rows(SectionSettings, ())
+            )
+            continue
+        yield SettingRow(".".join(path), variable, _shown(field.get_default()), field.description or "")
+
+
+def _shown(default: object) -> str:
+    if default is None or default == "":
+        return "none"
+    if isinstance(default, bool):
+        return f"`{str(default).lower()}`"
+    if isinstance(default, str | int | float | Path):
+        return f"`{default}`"
+    return "must be given"
+
+
+def _anchor_paths(content: dict[str, Any], folder: Path) -> None:
+    for group, name in (
+        ("database", "path"),
+        ("model", "bundle_path"),
+        ("signing", "key_file"),
+        ("signing", "trusted_keys_folder"),
+    ):
+        table = content.get(group)
+        if isinstance(table, dict) and isinstance(table.get(name), str):
+            table[name] = str(folder / table[name])
+    sections = content.get("sections")
+    for section in sections if isinstance(sections, list) else ():
+        if isinstance(section, dict) and isinstance(section.get("file"), str) and not is_packaged_name(section["file"]):
+            section["file"] = str(folder / section["file"])
+
+
+def _refuse_unknown_variables() -> None:
+    """Raise for a misspelt variable; pydantic-settings would pass over it in silence."""
+    known = {row.variable for row in settings_rows()}
+    unknown = sorted(
+        name
+        for name in os.environ
+        if name.startswith(ENV_PREFIX) and ENV_DELIMITER in name and name.upper() not in known
+    )
+    if unknown:
+        raise ConfigurationError(f"unknown environment variables: {', '.join(unknown)}")
