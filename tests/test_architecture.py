@@ -233,9 +233,10 @@ def quantities(path: Path) -> Iterator[tuple[int, str]]:
                     yield argument.lineno, argument.arg
         elif isinstance(node, ast.ClassDef):
             for statement in node.body:
-                is_field = isinstance(statement, ast.AnnAssign) and isinstance(statement.target, ast.Name)
-                if is_field and is_quantity(statement.annotation) and not statement.target.id.isupper():
-                    yield statement.lineno, statement.target.id
+                match statement:
+                    case ast.AnnAssign(target=ast.Name(id=name), annotation=annotation) if not name.isupper():
+                        if is_quantity(annotation):
+                            yield statement.lineno, name
 
 
 def test_every_quantity_carries_its_unit():
@@ -304,11 +305,8 @@ def test_every_line_of_a_lock_is_pinned_and_hashed():
 @pytest.mark.parametrize("role", ["rsu", "vehicle", "training"])
 def test_a_role_installs_what_the_tests_ran_with(role):
     def pins(name: str) -> set[str]:
-        return set(
-            re.findall(
-                r"^[\w.-]+==\S+", (ROOT / "requirements" / f"{name}.txt").read_text(encoding="utf-8"), re.MULTILINE
-            )
-        )
+        lock = (ROOT / "requirements" / f"{name}.txt").read_text(encoding="utf-8")
+        return set(re.findall(r"^[\w.-]+==\S+", lock, re.MULTILINE))
 
     assert pins(role) <= pins("dev")
 
