@@ -53,7 +53,7 @@ def test_the_manifest_says_how_the_model_came_about(bundle: tuple[Path, BundleMa
 
 def outside_count(rows: np.ndarray, lower: tuple[float, ...], upper: tuple[float, ...]) -> np.ndarray:
     outside = (rows < np.array(lower)) | (rows > np.array(upper))
-    return np.count_nonzero(outside, axis=1)
+    return np.asarray(np.count_nonzero(outside, axis=1))
 
 
 def test_the_envelope_calls_few_ordinary_rows_strange() -> None:
