@@ -14,7 +14,7 @@ import hashlib
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NoReturn
 
 import numpy as np
 
@@ -33,6 +33,10 @@ SLOPE_QUANTUM = 1e-4
 NODE_STEP_LIMIT_M = 30.0
 """Nodes lie at most this far apart per axis: the wire format stores steps as 16-bit millimetres."""
 NODES_LIMIT_COUNT = 1000
+NODE_LIMIT_M = 1e5
+ORIGIN_LIMIT_M = 1e8
+ANCHORS_LIMIT_COUNT = 200
+CROSS_SLOPE_LIMIT = 0.25
 SPEED_QUANTUM_MPS = 0.01
 LENGTH_LIMITS_M = (20.0, 10_000.0)
 BANK_CAP_RATIO = 0.08
@@ -218,49 +222,77 @@ def build_section(
         SectionError: Something is missing or cannot be; the message says what.
     """
     nodes = np.asarray(nodes_m, dtype=np.float64)
-    if nodes.ndim != 2 or nodes.shape[1] != 3:
-        _refuse(section_id, f"nodes must be rows of east, north, up; the shape is {nodes.shape}")
     slopes = np.zeros(len(nodes)) if cross_slope_ratio is None else np.asarray(cross_slope_ratio, dtype=np.float64)
-    if slopes.shape != (len(nodes),):
-        _refuse(section_id, f"{len(nodes)} nodes but {slopes.shape} cross slopes")
-    if not (np.isfinite(nodes).all() and np.isfinite(slopes).all() and np.isfinite(origin_m).all()):
-        _refuse(section_id, "a coordinate or cross slope is not finite")
-    allowed = set("abcdefghijklmnopqrstuvwxyz0123456789-")
-    if not 1 <= len(section_id) <= 48 or not set(section_id) <= allowed:
-        _refuse(section_id, "an id is 1 to 48 lower-case letters, digits and hyphens")
-    if len(name) > 80:
-        _refuse(section_id, "a name has at most 80 characters")
-    if not 4 <= len(nodes) <= NODES_LIMIT_COUNT:
-        _refuse(section_id, f"{len(nodes)} nodes; 4 to {NODES_LIMIT_COUNT} are possible")
+    _check_words(section_id, name=name, crs=crs)
+    _check_geometry(section_id, nodes_m=nodes, cross_slope_ratio=slopes, origin_m=origin_m)
     if not 1.0 <= speed_limit_mps <= 60.0:
         _refuse(section_id, f"speed limit {speed_limit_mps} m/s is not between 1 and 60")
-    if np.abs(slopes).max() > 0.25 or not 0.0 <= bank_cap_ratio <= 0.25:
-        _refuse(section_id, "a cross slope or bank cap above 25 % is no road")
-    steps = np.diff(nodes, axis=0)
-    if np.abs(steps).max() > NODE_STEP_LIMIT_M or np.hypot(steps[:, 0], steps[:, 1]).min() < 0.5:
-        _refuse(section_id, f"nodes must lie 0.5 to {NODE_STEP_LIMIT_M:.0f} m apart")
+    if not 0.0 <= bank_cap_ratio <= CROSS_SLOPE_LIMIT:
+        _refuse(section_id, "a bank cap above 25 % is no road")
+    _check_anchors(section_id, anchors)
     section = RoadSection(
         section_id=section_id,
         name=name,
         direction=Direction(direction),
         crs=crs,
-        origin_m=(round(origin_m[0], 3), round(origin_m[1], 3), round(origin_m[2], 3)),
-        nodes_m=_frozen(np.rint(nodes / NODE_QUANTUM_M) * NODE_QUANTUM_M),
-        cross_slope_ratio=_frozen(np.rint(slopes / SLOPE_QUANTUM) * SLOPE_QUANTUM),
+        # Adding zero turns -0.0 into 0.0: integers on the wire know no negative zero, and the version must not either.
+        origin_m=(round(origin_m[0], 3) + 0.0, round(origin_m[1], 3) + 0.0, round(origin_m[2], 3) + 0.0),
+        nodes_m=_frozen(np.rint(nodes / NODE_QUANTUM_M) * NODE_QUANTUM_M + 0.0),
+        cross_slope_ratio=_frozen(np.rint(slopes / SLOPE_QUANTUM) * SLOPE_QUANTUM + 0.0),
         bank_origin=BankOrigin(bank_origin),
         speed_limit_mps=round(round(speed_limit_mps / SPEED_QUANTUM_MPS) * SPEED_QUANTUM_MPS, 2),
         bank_cap_ratio=round(bank_cap_ratio, 4),
         anchors=tuple(
-            GnssAnchor(round(a.station_m, 1), round(a.lat_deg, 7), round(a.lon_deg, 7))
+            GnssAnchor(round(a.station_m, 1) + 0.0, round(a.lat_deg, 7) + 0.0, round(a.lon_deg, 7) + 0.0)
             for a in sorted(anchors, key=lambda a: a.station_m)
         ),
     )
+    if not np.isfinite(section.profile.curvature_1pm).all():
+        _refuse(section_id, "the line turns back on itself within one step; smooth the line first")
     low_m, high_m = LENGTH_LIMITS_M
     if not low_m <= section.length_m <= high_m:
         _refuse(section_id, f"length {section.length_m:.1f} m is not between {low_m:.0f} and {high_m:.0f}")
     if section.tightest_radius_m < 5.0:
         _refuse(section_id, f"tightest radius {section.tightest_radius_m:.1f} m is below 5 m; smooth the line first")
     return section
+
+
+def _check_words(section_id: str, *, name: str, crs: str) -> None:
+    allowed = set("abcdefghijklmnopqrstuvwxyz0123456789-")
+    if not 1 <= len(section_id) <= 48 or not set(section_id) <= allowed:
+        _refuse(section_id, "an id is 1 to 48 lower-case letters, digits and hyphens")
+    if len(name) > 80 or not name.isprintable():
+        _refuse(section_id, "a name has at most 80 characters, all of them printable")
+    if not 1 <= len(crs) <= 40 or not (crs.isascii() and crs.isprintable()):
+        _refuse(section_id, 'a coordinate reference is a short text such as "EPSG:25833" or "local"')
+
+
+def _check_geometry(
+    section_id: str, *, nodes_m: FloatArray, cross_slope_ratio: FloatArray, origin_m: tuple[float, float, float]
+) -> None:
+    if nodes_m.ndim != 2 or nodes_m.shape[1] != 3:
+        _refuse(section_id, f"nodes must be rows of east, north, up; the shape is {nodes_m.shape}")
+    if cross_slope_ratio.shape != (len(nodes_m),):
+        _refuse(section_id, f"{len(nodes_m)} nodes but {cross_slope_ratio.shape} cross slopes")
+    if not (np.isfinite(nodes_m).all() and np.isfinite(cross_slope_ratio).all() and np.isfinite(origin_m).all()):
+        _refuse(section_id, "a coordinate or cross slope is not finite")
+    if not 4 <= len(nodes_m) <= NODES_LIMIT_COUNT:
+        _refuse(section_id, f"{len(nodes_m)} nodes; 4 to {NODES_LIMIT_COUNT} are possible")
+    if np.abs(nodes_m).max() > NODE_LIMIT_M or np.abs(origin_m).max() > ORIGIN_LIMIT_M:
+        _refuse(section_id, "a node or the origin lies outside the world; are the units metres?")
+    if np.abs(cross_slope_ratio).max() > CROSS_SLOPE_LIMIT:
+        _refuse(section_id, "a cross slope above 25 % is no road")
+    steps = np.diff(nodes_m, axis=0)
+    if np.abs(steps).max() > NODE_STEP_LIMIT_M or np.hypot(steps[:, 0], steps[:, 1]).min() < 0.5:
+        _refuse(section_id, f"nodes must lie 0.5 to {NODE_STEP_LIMIT_M:.0f} m apart")
+
+
+def _check_anchors(section_id: str, anchors: Sequence[GnssAnchor]) -> None:
+    if len(anchors) > ANCHORS_LIMIT_COUNT:
+        _refuse(section_id, f"{len(anchors)} GNSS anchors; at most {ANCHORS_LIMIT_COUNT} are possible")
+    for a in anchors:
+        if not (0.0 <= a.station_m <= LENGTH_LIMITS_M[1] and abs(a.lat_deg) <= 90.0 and abs(a.lon_deg) <= 180.0):
+            _refuse(section_id, f"a GNSS anchor at station {a.station_m}, {a.lat_deg}, {a.lon_deg} degrees cannot be")
 
 
 def ideal_bank_ratio(curvature_1pm: FloatArray, *, speed_limit_mps: float) -> FloatArray:
@@ -298,10 +330,11 @@ def road_difficulty_ratio(ideal_ratio: FloatArray, bank_ratio: FloatArray) -> Fl
     References:
         Langstrand and Rabi, section "Features from the road geometry".
     """
-    return np.tan(np.arctan(ideal_ratio) - np.arctan(bank_ratio))
+    difficulty: FloatArray = np.tan(np.arctan(ideal_ratio) - np.arctan(bank_ratio))
+    return difficulty
 
 
-def _refuse(section_id: str, problem: str) -> None:
+def _refuse(section_id: str, problem: str) -> NoReturn:
     message = f"section {section_id[:48]!r}: {problem}"
     raise SectionError(message)
 
@@ -371,8 +404,9 @@ def _profile(section: RoadSection) -> SectionProfile:
     dx, dy = first[:, 0], first[:, 1]
     ddx, ddy = curve[:, 0], curve[:, 1]
     pace = np.hypot(dx, dy)
-    curvature = (dx * ddy - dy * ddx) / pace**3
-    cross_slope = np.clip(value[:, 3], -0.25, 0.25)
+    with np.errstate(divide="ignore", invalid="ignore"):  # a cusp; `build_section` refuses what is not finite
+        curvature = (dx * ddy - dy * ddx) / pace**3
+    cross_slope = np.clip(value[:, 3], -CROSS_SLOPE_LIMIT, CROSS_SLOPE_LIMIT)
     bank = np.clip(-np.sign(curvature) * cross_slope, 0.0, section.bank_cap_ratio)
     ideal = ideal_bank_ratio(curvature, speed_limit_mps=section.speed_limit_mps)
     return SectionProfile(
@@ -382,7 +416,7 @@ def _profile(section: RoadSection) -> SectionProfile:
         z_m=_frozen(np.ascontiguousarray(value[:, 2])),
         heading_rad=_frozen(np.unwrap(np.arctan2(dy, dx))),
         curvature_1pm=_frozen(curvature),
-        grade_ratio=_frozen(first[:, 2] / pace),
+        grade_ratio=_frozen(first[:, 2] / np.maximum(pace, 1e-9)),
         cross_slope_ratio=_frozen(cross_slope),
         bank_ratio=_frozen(bank),
         ideal_bank_ratio=_frozen(ideal),
