@@ -1,0 +1,1 @@
+"""The wheel and its extras, seen from outside the checkout."""
