@@ -57,7 +57,39 @@ class PaperRoad:
     node_step_m: float
 
 
-def _turn((50.0, 150.0), (25.0, 100.0), (55.0, 130.0), (60.0, 450.0), (60.0, 140.0), (30.0, 115.0), transitions_m=(45.0, 20.0, 20.0, 35.0, 35.0, 20.0, 45.0), sign=-1.0),
+def _turn(*arcs: tuple[float, float], transitions_m: tuple[float, ...], sign: float = 1.0) -> tuple[Element, ...]:
+    """Return a turn from straight to straight.
+
+    Args:
+        arcs: Length and radius of each arc.
+        transitions_m: Lengths of the clothoids before, between and after the arcs; one more than there are arcs.
+        sign: 1 for a left turn, -1 for a right turn.
+    """
+    curvature = [0.0, *(sign / radius for _, radius in arcs), 0.0]
+    elements: list[Element] = []
+    for i, length_m in enumerate(transitions_m):
+        elements.append(clothoid(length_m, start_curvature_1pm=curvature[i], end_curvature_1pm=curvature[i + 1]))
+        if i < len(arcs):
+            elements.append(Element(arcs[i][0], curvature[i + 1], curvature[i + 1]))
+    return tuple(elements)
+
+
+ROADS: tuple[PaperRoad, ...] = (
+    # 600 m, turning portions of radius 100 to 150 m, 80 km/h. Two portions with a gentler stretch between them.
+    PaperRoad(
+        section_id="long-turn",
+        name="Long turn",
+        elements=(
+            straight(40.0),
+            *_turn(
+                (50.0, 150.0),
+                (25.0, 100.0),
+                (55.0, 130.0),
+                (60.0, 450.0),
+                (60.0, 140.0),
+                (30.0, 115.0),
+                transitions_m=(45.0, 20.0, 20.0, 35.0, 35.0, 20.0, 45.0),
+            ),
             straight(60.0),
         ),
         grades=(GradePoint(0.0, -0.03), GradePoint(250.0, -0.01), GradePoint(400.0, 0.015), GradePoint(600.0, 0.03)),
@@ -72,8 +104,18 @@ def _turn((50.0, 150.0), (25.0, 100.0), (55.0, 130.0), (60.0, 450.0), (60.0, 140
         name="S-turn",
         elements=(
             straight(20.0),
-            *_turn((50.0, 187.0), (25.0, 90.0), (12.0, 55.0), (30.0, 100.0), transitions_m=(50.0, 30.0, 18.0, 20.0, 45.0)),
-            *_turn((40.0, 120.0), (15.0, 70.0), (15.0, 60.0), (25.0, 110.0), (15.0, 187.0), transitions_m=(45.0, 25.0, 10.0, 30.0, 20.0, 40.0), sign=-1.0),
+            *_turn(
+                (50.0, 187.0), (25.0, 90.0), (12.0, 55.0), (30.0, 100.0), transitions_m=(50.0, 30.0, 18.0, 20.0, 45.0)
+            ),
+            *_turn(
+                (40.0, 120.0),
+                (15.0, 70.0),
+                (15.0, 60.0),
+                (25.0, 110.0),
+                (15.0, 187.0),
+                transitions_m=(45.0, 25.0, 10.0, 30.0, 20.0, 40.0),
+                sign=-1.0,
+            ),
             straight(20.0),
         ),
         grades=(GradePoint(0.0, -0.04), GradePoint(200.0, -0.05), GradePoint(350.0, -0.02), GradePoint(600.0, 0.01)),
@@ -86,7 +128,9 @@ def _turn((50.0, 150.0), (25.0, 100.0), (55.0, 130.0), (60.0, 450.0), (60.0, 140
     PaperRoad(
         section_id="sharp-turn",
         name="Sharp turn",
-        elements=_turn((16.0, 43.0), (12.0, 30.0), (6.0, 20.0), (14.0, 35.0), transitions_m=(12.0, 8.0, 6.0, 8.0, 18.0), sign=-1.0),
+        elements=_turn(
+            (16.0, 43.0), (12.0, 30.0), (6.0, 20.0), (14.0, 35.0), transitions_m=(12.0, 8.0, 6.0, 8.0, 18.0), sign=-1.0
+        ),
         grades=(GradePoint(0.0, 0.04), GradePoint(50.0, 0.05), GradePoint(100.0, 0.03)),
         start_heading_rad=deg_to_rad(150.0),
         origin_m=(240_500.0, 6_845_000.0, 890.0),

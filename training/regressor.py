@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 import xgboost
 
 from roadgrip.units import FloatArray
 from training.dataset import DatasetError, Runs
+
+RowIndices: TypeAlias = np.ndarray[tuple[int], np.dtype[np.intp]]
+"""Rows of a table."""
 
 HOLD_OUT_FRAC = 0.1
 """The paper's split: nine tenths to learn from, one tenth to be judged on."""
@@ -49,8 +53,8 @@ class Fitted:
     """
 
     booster: xgboost.Booster
-    train_rows: np.ndarray[tuple[int], np.dtype[np.intp]]
-    test_rows: np.ndarray[tuple[int], np.dtype[np.intp]]
+    train_rows: RowIndices
+    test_rows: RowIndices
     metrics: dict[str, float]
 
 
@@ -86,13 +90,7 @@ def fit(runs: Runs, parameters: FitParameters, *, on_round: Callable[[int], None
     Raises:
         DatasetError: There are too few usable runs.
     """
-    order = np.argsort(np.array(runs.run_key), kind="stable")
-    usable = order[runs.usable[order]]
-    if len(usable) < _FEWEST_RUNS:
-        raise DatasetError(f"{len(usable)} usable runs; at least {_FEWEST_RUNS} are needed")
-    shuffled = np.random.default_rng(parameters.seed).permutation(usable)
-    test_count = max(1, round(HOLD_OUT_FRAC * len(shuffled)))
-    test_rows, train_rows = shuffled[:test_count], shuffled[test_count:]
+    train_rows, test_rows = split_rows(runs, seed=parameters.seed)
     label_mu = runs.labels["label_mu"]
     matrix = xgboost.DMatrix(runs.features[train_rows].astype(np.float32), label=label_mu[train_rows])
     booster = xgboost.train(
@@ -115,6 +113,23 @@ def fit(runs: Runs, parameters: FitParameters, *, on_round: Callable[[int], None
         section_id=[runs.section_id[i] for i in test_rows],
     )
     return Fitted(booster=booster, train_rows=train_rows, test_rows=test_rows, metrics=metrics)
+
+
+def split_rows(runs: Runs, *, seed: int) -> tuple[RowIndices, RowIndices]:
+    """Return the rows to learn from and the rows to be judged on: nine tenths and one tenth of the usable runs.
+
+    A run falls on the same side whatever the order of the rows.
+
+    Raises:
+        DatasetError: There are too few usable runs.
+    """
+    order = np.argsort(np.array(runs.run_key), kind="stable")
+    usable = order[runs.usable[order]]
+    if len(usable) < _FEWEST_RUNS:
+        raise DatasetError(f"{len(usable)} usable runs; at least {_FEWEST_RUNS} are needed")
+    shuffled = np.random.default_rng(seed).permutation(usable)
+    test_count = max(1, round(HOLD_OUT_FRAC * len(shuffled)))
+    return shuffled[test_count:], shuffled[:test_count]
 
 
 def judge(truth_mu: FloatArray, estimated_mu: FloatArray, *, section_id: list[str]) -> dict[str, float]:
