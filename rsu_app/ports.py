@@ -1,0 +1,201 @@
+"""What the use cases need from the world, and the records that cross the border.
+
+Adapters implement these protocols; tests implement them with fakes that are real code.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from roadgrip.bundle import BundleManifest
+from roadgrip.records import NotCounted, Passage
+from roadgrip.units import FloatArray
+
+
+class Clock(Protocol):
+    """Two readings of time: one that never jumps, one that people share."""
+
+    def monotonic_s(self) -> float:
+        """Return seconds since an arbitrary moment; never goes back, never jumps."""
+        ...
+
+    def unix_s(self) -> float:
+        """Return seconds since 1970 by the wall clock, which may be wrong and may step."""
+        ...
+
+
+class FrictionModel(Protocol):
+    """A regressor with everything needed to trust it."""
+
+    @property
+    def manifest(self) -> BundleManifest:
+        """What the bundle says about itself."""
+        ...
+
+    def estimate_mu(self, rows: FloatArray) -> FloatArray:
+        """Return the friction estimate of each row.
+
+        Args:
+            rows: Features in the order of `roadgrip.features.FEATURES`. (n, 78)
+
+        Returns:
+            The estimates. (n,)
+
+        Raises:
+            BundleError: The model does not answer.
+            ValueError: A row holds a value that no passage can have; the model would answer with a plausible number.
+        """
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class StoredEstimate:
+    """What the unit remembers of a passage: enough to restore its window and to recognise a repetition.
+
+    Attributes:
+        passage_id: The passage's own id.
+        section_id: The section that was driven.
+        content_digest: Digest of everything the sender said, except the age, which differs at every attempt.
+        values_digest: Digest of the summary's values alone; equal under two ids means that one copied the other.
+        mu: The estimate, or None when the model gave no number.
+        flags: Why it does not count, if it does not.
+        left_unix_s: When the vehicle left the section, by the unit's wall clock.
+        bundle_id: The model that gave the estimate.
+    """
+
+    passage_id: bytes
+    section_id: str
+    content_digest: bytes
+    values_digest: bytes
+    mu: float | None
+    flags: NotCounted
+    left_unix_s: float
+    bundle_id: str
+
+
+@dataclass(frozen=True, slots=True)
+class PassageEntry:
+    """What the store keeps for good: the passage as it came, when it came, and what was made of it."""
+
+    passage: Passage
+    received_unix_s: float
+    estimate: StoredEstimate
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """Something an operator will ask about later, such as which model was live when.
+
+    Attributes:
+        at_unix_s: When, by the wall clock.
+        kind: What happened, such as "model_live".
+        subject: To what, such as a bundle id.
+        detail: For a person.
+    """
+
+    at_unix_s: float
+    kind: str
+    subject: str
+    detail: str
+
+
+@dataclass(frozen=True, slots=True)
+class StoreCounts:
+    """How full the store is.
+
+    Attributes:
+        passages_count: Rows in the database.
+        database_bytes: Size of the database with its write-ahead log.
+        queued_count: Writes that wait for the writer.
+        queue_limit_count: Writes that may wait before the store says it is full.
+    """
+
+    passages_count: int
+    database_bytes: int
+    queued_count: int
+    queue_limit_count: int
+
+
+class PassageStore(Protocol):
+    """Keeps passages through power cuts."""
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a person should know about how the store was opened, such as a corrupt file that was moved aside."""
+        ...
+
+    async def append(self, entry: PassageEntry) -> StoredEstimate | None:
+        """Return after the commit that holds the entry.
+
+        Returns:
+            None if the entry is stored now. Otherwise nothing was stored, and this is what the store already holds
+            under the same passage id or, failing that, with the same values.
+
+        Raises:
+            StoreFullError: The queue or the disk has no room.
+            StoreError: The commit failed. The entry is not stored.
+        """
+        ...
+
+    async def load(self, *, since_unix_s: float, limit_count: int) -> Sequence[StoredEstimate]:
+        """Return what was received at or after a moment, oldest first; the newest `limit_count` of it.
+
+        Raises:
+            StoreError: The database cannot be read.
+        """
+        ...
+
+    async def record_event(self, event: Event) -> None:
+        """Return after the commit that holds the event.
+
+        Raises:
+            StoreError: The commit failed or there is no room.
+        """
+        ...
+
+    async def events(self, *, limit_count: int) -> Sequence[Event]:
+        """Return the newest events, newest first.
+
+        Raises:
+            StoreError: The database cannot be read.
+        """
+        ...
+
+    async def counts(self) -> StoreCounts:
+        """Return how full the store is.
+
+        Raises:
+            StoreError: The database cannot be read.
+        """
+        ...
+
+    async def probe(self) -> None:
+        """Return once a write is known to have reached the disk a short while ago, or now.
+
+        Raises:
+            StoreError: Writing does not work.
+        """
+        ...
+
+    async def prune(self, *, before_unix_s: float | None, rows_limit_count: int) -> int:
+        """Delete passages received before a moment, then the oldest beyond a number of rows.
+
+        Works in small batches between which waiting passages are written.
+
+        Args:
+            before_unix_s: None keeps all ages, for when the clock cannot be trusted.
+            rows_limit_count: Rows that may stay.
+
+        Returns:
+            How many were deleted.
+
+        Raises:
+            StoreError: Deleting failed.
+        """
+        ...
+
+    async def close(self) -> None:
+        """Write what waits, then release the database."""
+        ...

@@ -1,0 +1,7 @@
+"""What the road side unit does, without any transport: HTTP, datagrams and tests call the same few functions."""
+
+from rsu_app.usecases.changes import Subscription
+from rsu_app.usecases.readiness import Check, Readiness
+from rsu_app.usecases.unit import RoadSideUnit, UnitLimits
+
+__all__ = ["Check", "Readiness", "RoadSideUnit", "Subscription", "UnitLimits"]

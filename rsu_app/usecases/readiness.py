@@ -1,0 +1,114 @@
+"""Whether the unit can do its work right now, and if not, why. It never says yes out of politeness."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from roadgrip.bundle import GOLDEN_TOLERANCE_MU
+from roadgrip.errors import BundleError, StoreError
+from rsu_app.ports import Clock, FrictionModel, PassageStore
+
+EARLIEST_SANE_UNIX_S = 1_704_067_200.0
+"""2024-01-01: a wall clock before it has lost its battery."""
+STEP_TOLERANCE_S = 2.0
+"""Wall and monotonic clock drift apart by less than this between two looks, unless somebody set the wall clock."""
+STEP_MEMORY_S = 60.0
+"""How long a step is held against the clock; a unit whose clock was just corrected must not stay unready."""
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """One thing the unit needs.
+
+    Attributes:
+        name: "model", "store", "clock" or "window".
+        ok: Whether it is as it should be.
+        detail: What was found, for a person.
+        required: Whether the unit is unready without it; the window is for information.
+    """
+
+    name: str
+    ok: bool
+    detail: str
+    required: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class Readiness:
+    """All checks, and what follows from them."""
+
+    checks: tuple[Check, ...]
+
+    @property
+    def ready(self) -> bool:
+        """Whether everything required is as it should be."""
+        return all(check.ok for check in self.checks if check.required)
+
+
+def check_golden(model: FrictionModel) -> None:
+    """Do nothing if the model answers its golden vectors as it did in the laboratory.
+
+    Raises:
+        BundleError: It does not; the message says by how much.
+    """
+    golden = model.manifest.golden
+    answers = model.estimate_mu(np.asarray(golden.rows, dtype=np.float64))
+    difference = float(np.max(np.abs(answers - np.asarray(golden.mu)), initial=0.0))
+    if not golden.rows or not difference <= GOLDEN_TOLERANCE_MU:
+        raise BundleError(
+            f"bundle {model.manifest.bundle_id} misses its {len(golden.rows)} golden vectors by {difference:.2e}"
+        )
+
+
+def model_check(model: FrictionModel | None) -> Check:
+    """Return whether there is a model and it still answers its golden vectors."""
+    if model is None:
+        return Check("model", ok=False, detail="no model is loaded")
+    try:
+        check_golden(model)
+    except (BundleError, ValueError) as error:
+        return Check("model", ok=False, detail=str(error))
+    return Check("model", ok=True, detail=f"bundle {model.manifest.bundle_id} answers its golden vectors")
+
+
+async def store_check(store: PassageStore) -> Check:
+    """Return whether a write reaches the disk."""
+    try:
+        await store.probe()
+    except StoreError as error:
+        return Check("store", ok=False, detail=str(error))
+    return Check("store", ok=True, detail="; ".join(("writes reach the disk", *store.notes)))
+
+
+class ClockWatch:
+    """Looks at the wall clock again and again, and says whether it can be believed.
+
+    Args:
+        clock: Both clocks of the unit.
+    """
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock = clock
+        self._offset_s = clock.unix_s() - clock.monotonic_s()
+        self._stepped_at_s: float | None = None
+        self._step_s = 0.0
+
+    def check(self) -> Check:
+        """Return whether the wall clock names a possible year and did not step within the last minute."""
+        unix_s, monotonic_s = self._clock.unix_s(), self._clock.monotonic_s()
+        step_s = unix_s - monotonic_s - self._offset_s
+        if abs(step_s) > STEP_TOLERANCE_S:
+            self._stepped_at_s, self._step_s = monotonic_s, step_s
+        self._offset_s = unix_s - monotonic_s
+        if unix_s < EARLIEST_SANE_UNIX_S:
+            return Check("clock", ok=False, detail=f"the wall clock says {unix_s:.0f} s since 1970, before 2024")
+        if self._stepped_at_s is not None and monotonic_s - self._stepped_at_s < STEP_MEMORY_S:
+            return Check("clock", ok=False, detail=f"the wall clock stepped by {self._step_s:.1f} s a moment ago")
+        return Check("clock", ok=True, detail="the wall clock is plausible and steady")
+
+    @property
+    def plausible(self) -> bool:
+        """Whether the wall clock names a possible year."""
+        return self._clock.unix_s() >= EARLIEST_SANE_UNIX_S

@@ -1,0 +1,83 @@
+"""What the unit remembers of recent passages, to answer a repetition without asking the disk."""
+
+from __future__ import annotations
+
+import hashlib
+from collections import OrderedDict
+
+import numpy as np
+
+from roadgrip.records import Accepted, Outcome, Passage, Reason, Rejected
+from rsu_app.domain.plausibility import summary_values
+from rsu_app.ports import StoredEstimate
+
+DIGEST_BYTES = 16
+
+
+def values_digest(passage: Passage) -> bytes:
+    """Return the digest of the summary's values: two honest passages never share it. 16 bytes."""
+    return hashlib.sha256(summary_values(passage.summary).astype("<f4").tobytes()).digest()[:DIGEST_BYTES]
+
+
+def content_digest(passage: Passage) -> bytes:
+    """Return the digest of everything the sender says but the age, which grows from attempt to attempt. 16 bytes."""
+    summary = passage.summary
+    parts = [
+        passage.section_id.encode(),
+        passage.map_version.encode(),
+        summary.table_digest.encode(),
+        np.float64(summary.duration_s).astype("<f8").tobytes(),
+        str(int(summary.quality)).encode(),
+        values_digest(passage),
+    ]
+    digest = hashlib.sha256()
+    for part in parts:
+        digest.update(len(part).to_bytes(4, "little") + part)
+    return digest.digest()[:DIGEST_BYTES]
+
+
+def outcome_of_repetition(known: StoredEstimate, *, passage_id: bytes, content: bytes) -> Outcome:
+    """Return the answer to a passage that meets a stored one.
+
+    The same id and content: sent again because a receipt was lost, so the answer is the earlier one. The same id
+    with other content, or the same values under another id: refused.
+    """
+    if known.passage_id != passage_id:
+        return Rejected(Reason.REPLAYED, "the same values were sent under another passage id")
+    if known.content_digest != content:
+        return Rejected(Reason.PASSAGE_ID_REUSED, "this passage id was used for another passage")
+    return Accepted(known.flags)
+
+
+class Recall:
+    """The latest stored estimates by id and by values, the oldest forgotten first.
+
+    The store recognises repetitions for as long as it keeps passages; this memory spares it the question and keeps
+    answering while the disk does not.
+
+    Args:
+        capacity_count: Estimates that are remembered.
+    """
+
+    def __init__(self, *, capacity_count: int) -> None:
+        self._capacity_count = capacity_count
+        self._by_id: OrderedDict[bytes, StoredEstimate] = OrderedDict()
+        self._id_by_values: dict[bytes, bytes] = {}
+
+    def __len__(self) -> int:
+        return len(self._by_id)
+
+    def __contains__(self, passage_id: object) -> bool:
+        return passage_id in self._by_id
+
+    def remember(self, estimate: StoredEstimate) -> None:
+        """Keep an estimate; the oldest goes if there is no room."""
+        self._by_id[estimate.passage_id] = estimate
+        self._id_by_values[estimate.values_digest] = estimate.passage_id
+        while len(self._by_id) > self._capacity_count:
+            _, oldest = self._by_id.popitem(last=False)
+            self._id_by_values.pop(oldest.values_digest, None)
+
+    def find(self, *, passage_id: bytes, values: bytes) -> StoredEstimate | None:
+        """Return what is remembered under the id or, failing that, with the same values."""
+        return self._by_id.get(passage_id) or self._by_id.get(self._id_by_values.get(values, b""))

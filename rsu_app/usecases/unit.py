@@ -1,0 +1,434 @@
+"""The road side unit itself: all of its state in one place, and everything that may be done to it."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from math import isfinite
+
+import numpy as np
+
+from roadgrip.bundle import BundleManifest
+from roadgrip.errors import BundleError, ConfigurationError, StoreError, StoreFullError
+from roadgrip.features import ROAD_FEATURES, TABLE_DIGEST, road_features
+from roadgrip.records import (
+    Accepted,
+    Advisory,
+    AdvisoryNotice,
+    Beacon,
+    FrictionInterval,
+    MapOffer,
+    NotCounted,
+    Outcome,
+    Passage,
+    Reason,
+    Rejected,
+)
+from roadgrip.section import RoadSection
+from roadgrip.units import WINDOW_S, FloatArray
+from rsu_app.domain.advisory import AdvisoryPolicy, advise
+from rsu_app.domain.interval import IntervalPolicy, friction_interval
+from rsu_app.domain.plausibility import age_flag, envelope_flag, estimate_flag, implausibility, summary_values
+from rsu_app.domain.window import CAPACITY_COUNT, FrictionWindow
+from rsu_app.ports import Clock, Event, FrictionModel, PassageEntry, PassageStore, StoredEstimate
+from rsu_app.usecases.changes import Subscription
+from rsu_app.usecases.readiness import Check, ClockWatch, Readiness, check_golden, model_check, store_check
+from rsu_app.usecases.recall import Recall, content_digest, outcome_of_repetition, values_digest
+
+
+@dataclass(frozen=True, slots=True)
+class UnitLimits:
+    """Everything that could grow, and how far it may.
+
+    Attributes:
+        window_s: How long an estimate counts.
+        window_capacity_count: Estimates per section that are counted at once.
+        recall_count: Passages remembered in memory to recognise repetitions; the store recognises older ones.
+        subscribers_count: Listeners to changes, over all sections.
+        retention_s: How long passages stay in the store.
+        rows_count: Passages that may stay in the store.
+    """
+
+    window_s: float = WINDOW_S
+    window_capacity_count: int = CAPACITY_COUNT
+    recall_count: int = 20_000
+    subscribers_count: int = 200
+    retention_s: float = 30 * 86_400.0
+    rows_count: int = 1_000_000
+
+    def __post_init__(self) -> None:
+        counts = (self.window_capacity_count, self.recall_count, self.subscribers_count, self.rows_count)
+        if min(counts) < 1 or not self.window_s > 0.0:
+            raise ConfigurationError("every limit of the unit must be above zero")
+        if not self.retention_s >= self.window_s:
+            raise ConfigurationError("passages must be kept at least as long as they count")
+
+
+@dataclass(slots=True)
+class _SectionState:
+    section: RoadSection
+    policy: AdvisoryPolicy
+    road_row: FloatArray
+    window: FrictionWindow
+    listeners: set[Subscription]
+    advisory: Advisory | None = None
+
+
+class RoadSideUnit:
+    """Takes passages in, gives intervals and advisories out; knows no transport.
+
+    Everything here runs on one event loop. Questions are answered from memory at once; only what must reach the
+    disk is awaited.
+
+    Args:
+        sections: The maps this unit serves, at least one.
+        store: Where passages are kept.
+        model: The regressor, or None; then passages are refused and the winter speed is advised.
+        clock: Both clocks.
+        policy: What the road authority decides about advice.
+        section_policies: Decisions for single sections that replace `policy`, by section id.
+        interval_policy: What the operator decides about intervals.
+        limits: How far things may grow.
+
+    Raises:
+        ConfigurationError: The sections or policies contradict themselves.
+        BundleError: The model does not answer its golden vectors.
+    """
+
+    def __init__(
+        self,
+        *,
+        sections: Iterable[RoadSection],
+        store: PassageStore,
+        model: FrictionModel | None,
+        clock: Clock,
+        policy: AdvisoryPolicy | None = None,
+        section_policies: Mapping[str, AdvisoryPolicy] | None = None,
+        interval_policy: IntervalPolicy | None = None,
+        limits: UnitLimits | None = None,
+    ) -> None:
+        self._limits = limits or UnitLimits()
+        self._interval_policy = interval_policy or IntervalPolicy()
+        self._store = store
+        self._clock = clock
+        self._clock_watch = ClockWatch(clock)
+        self._recall = Recall(capacity_count=self._limits.recall_count)
+        self._subscribers_count = 0
+        self._pending: set[asyncio.Task[Outcome]] = set()
+        self._restored = False
+        self._states = _states(sections, policy or AdvisoryPolicy(), section_policies or {}, self._limits)
+        if model is not None:
+            check_golden(model)
+        self._model = model
+
+    @property
+    def section_ids(self) -> tuple[str, ...]:
+        """The sections this unit serves."""
+        return tuple(self._states)
+
+    @property
+    def model_manifest(self) -> BundleManifest | None:
+        """What the live model says about itself."""
+        return None if self._model is None else self._model.manifest
+
+    async def restore(self) -> int:
+        """Return how many estimates entered the windows again from what the store remembers.
+
+        Needs a plausible wall clock, since a stored passage has no other age. Until there is one, nothing is
+        restored, and `prune` tries again. Passages that were ingested meanwhile are not counted twice.
+
+        Raises:
+            StoreError: The store cannot be read.
+        """
+        if not self._clock_watch.plausible:
+            return 0
+        remembered = await self._store.load(
+            since_unix_s=self._clock.unix_s() - self._limits.window_s, limit_count=self._limits.recall_count
+        )
+        unix_s, monotonic_s = self._clock.unix_s(), self._clock.monotonic_s()
+        counted = 0
+        for estimate in remembered:
+            if estimate.passage_id in self._recall:
+                continue
+            self._recall.remember(estimate)
+            age_s = unix_s - estimate.left_unix_s
+            if 0.0 <= age_s <= self._limits.window_s and self._count(estimate, left_at_s=monotonic_s - age_s):
+                counted += 1
+        self._restored = True
+        self.refresh()
+        return counted
+
+    async def ingest_passage(self, passage: Passage) -> Outcome:
+        """Return what became of a passage, after it is on the disk.
+
+        The same passage sent again gets the same answer and changes nothing, whatever its age says then. If the
+        caller stops waiting, the passage is still stored and counted.
+
+        Args:
+            passage: What a vehicle claims; its age grows from attempt to attempt.
+        """
+        received_at_s = self._clock.monotonic_s()
+        content, values = content_digest(passage), values_digest(passage)
+        known = self._recall.find(passage_id=passage.passage_id, values=values)
+        if known is not None:
+            return outcome_of_repetition(known, passage_id=passage.passage_id, content=content)
+        state = self._states.get(passage.section_id)
+        if state is None:
+            return self._unknown(passage.section_id)
+        refusal = implausibility(passage, state.section)
+        if refusal is not None:
+            return refusal
+        if self._model is None:
+            return Rejected(Reason.NO_MODEL, "this unit has no model yet")
+        try:
+            mu, flags = _judge(passage, state, self._model)
+        except BundleError as error:
+            return Rejected(Reason.NO_MODEL, str(error))
+        unix_s = self._clock.unix_s()
+        estimate = StoredEstimate(
+            passage_id=passage.passage_id,
+            section_id=passage.section_id,
+            content_digest=content,
+            values_digest=values,
+            mu=mu,
+            flags=flags | age_flag(passage.age_s, window_s=self._limits.window_s),
+            left_unix_s=unix_s - passage.age_s,
+            bundle_id=self._model.manifest.bundle_id,
+        )
+        entry = PassageEntry(passage=passage, received_unix_s=unix_s, estimate=estimate)
+        task = asyncio.create_task(self._keep(entry, left_at_s=received_at_s - passage.age_s))
+        self._pending.add(task)
+        task.add_done_callback(self._pending.discard)
+        return await asyncio.shield(task)
+
+    def current_interval(self, section_id: str) -> FrictionInterval | Rejected | None:
+        """Return the friction interval of a section as of now, None if no vehicle is behind it."""
+        state = self._states.get(section_id)
+        return self._unknown(section_id) if state is None else self._interval(state)
+
+    def current_advisory(self, section_id: str) -> Advisory | Rejected:
+        """Return what drivers on a section are told now."""
+        state = self._states.get(section_id)
+        return self._unknown(section_id) if state is None else self._advisory(state)
+
+    def advisory_notice(self, section_id: str) -> AdvisoryNotice | Rejected:
+        """Return the advisory of a section bound to its map and to the time, ready to be sent."""
+        state = self._states.get(section_id)
+        return self._unknown(section_id) if state is None else self._notice(state)
+
+    def map_offer(self, section_id: str) -> MapOffer | Rejected:
+        """Return the map of a section with the feature tables that are served."""
+        state = self._states.get(section_id)
+        if state is None:
+            return self._unknown(section_id)
+        return MapOffer(section=state.section, table_digests=(TABLE_DIGEST,))
+
+    def beacon(self, section_id: str) -> Beacon | Rejected:
+        """Return the announcement of a section."""
+        state = self._states.get(section_id)
+        if state is None:
+            return self._unknown(section_id)
+        advisory = self._advisory(state)
+        return Beacon(
+            section_id=section_id,
+            map_version=state.section.version,
+            speed_mps=advisory.speed_mps,
+            reason=advisory.reason,
+            confidence=advisory.confidence,
+            valid_for_s=advisory.valid_for_s,
+        )
+
+    def subscribe(self, section_id: str) -> Subscription | Rejected:
+        """Return the advisory notices of a section from now on; busy when too many listen already."""
+        state = self._states.get(section_id)
+        if state is None:
+            return self._unknown(section_id)
+        if self._subscribers_count >= self._limits.subscribers_count:
+            return Rejected(Reason.BUSY, f"{self._limits.subscribers_count} listeners are as many as this unit serves")
+
+        def leave(subscription: Subscription) -> None:
+            state.listeners.discard(subscription)
+            self._subscribers_count -= 1
+
+        subscription = Subscription(lambda: self._notice(state), leave)
+        state.listeners.add(subscription)
+        self._subscribers_count += 1
+        return subscription
+
+    def refresh(self) -> None:
+        """Let time pass: forget what is too old and tell listeners whose advisory changed by that.
+
+        Call it every few seconds. Answers are right without; only listeners would learn late.
+        """
+        for state in self._states.values():
+            before = state.advisory
+            after = self._advisory(state)
+            if before is None or (before.speed_mps, before.reason) != (after.speed_mps, after.reason):
+                _notify(state)
+
+    async def switch_model(self, model: FrictionModel) -> None:
+        """Make a model the live one, after it has answered its golden vectors.
+
+        The incumbent answers until then. Estimates it gave stay in the windows.
+
+        Raises:
+            BundleError: The candidate misses its golden vectors; the incumbent stays.
+        """
+        check_golden(model)
+        self._model = model
+        self.refresh()
+        await self.note_live_model()
+
+    async def note_live_model(self) -> None:
+        """Write into the ledger which model is live now. A store that cannot write does not stop the model."""
+        manifest = self.model_manifest
+        event = Event(
+            at_unix_s=self._clock.unix_s(),
+            kind="model_live",
+            subject="" if manifest is None else manifest.bundle_id,
+            detail="no model" if manifest is None else manifest.name,
+        )
+        try:
+            await self._store.record_event(event)
+        except StoreError:
+            return
+
+    async def prune(self) -> int:
+        """Return how many passages were deleted to stay within the store's budget.
+
+        Also restores the windows if the clock was not plausible at the start and is by now. Ages are only judged by
+        a clock that is plausible and steady.
+
+        Raises:
+            StoreError: The store does not answer.
+        """
+        if not self._restored:
+            await self.restore()
+        clock = self._clock_watch.check()
+        before_unix_s = self._clock.unix_s() - self._limits.retention_s if clock.ok else None
+        return await self._store.prune(before_unix_s=before_unix_s, rows_limit_count=self._limits.rows_count)
+
+    async def readiness(self) -> Readiness:
+        """Return whether the unit can do its work right now, with the reason for every doubt."""
+        return Readiness(
+            checks=(
+                model_check(self._model),
+                await store_check(self._store),
+                self._clock_watch.check(),
+                *(self._window_check(state) for state in self._states.values()),
+            )
+        )
+
+    async def close(self) -> None:
+        """Wait for passages that are being stored, end all subscriptions, then close the store."""
+        if self._pending:
+            await asyncio.wait(self._pending)
+        for state in self._states.values():
+            for subscription in tuple(state.listeners):
+                subscription.close()
+        await self._store.close()
+
+    async def _keep(self, entry: PassageEntry, *, left_at_s: float) -> Outcome:
+        """Return the outcome after the commit; only then does the estimate count."""
+        estimate = entry.estimate
+        try:
+            known = await self._store.append(entry)
+        except StoreFullError as error:
+            return Rejected(Reason.BUSY, str(error))
+        except StoreError as error:
+            return Rejected(Reason.STORE_UNAVAILABLE, str(error))
+        if known is not None:
+            return outcome_of_repetition(known, passage_id=estimate.passage_id, content=estimate.content_digest)
+        self._recall.remember(estimate)
+        if self._count(estimate, left_at_s=left_at_s):
+            state = self._states[estimate.section_id]
+            self._advisory(state)
+            _notify(state)
+        return Accepted(estimate.flags)
+
+    def _count(self, estimate: StoredEstimate, *, left_at_s: float) -> bool:
+        state = self._states.get(estimate.section_id)
+        if state is None or estimate.mu is None or estimate.flags is not NotCounted.NONE:
+            return False
+        state.window.add(left_at_s=left_at_s, mu=estimate.mu)
+        return True
+
+    def _interval(self, state: _SectionState) -> FrictionInterval | None:
+        now_s = self._clock.monotonic_s()
+        state.window.evict(now_s=now_s)
+        return friction_interval(
+            state.window.ordered_mu,
+            newest_age_s=max(0.0, now_s - state.window.newest_left_at_s),
+            policy=self._interval_policy,
+        )
+
+    def _advisory(self, state: _SectionState) -> Advisory:
+        state.advisory = advise(
+            state.section,
+            interval=self._interval(state),
+            model_live=self._model is not None,
+            policy=state.policy,
+            previous_speed_mps=None if state.advisory is None else state.advisory.speed_mps,
+        )
+        return state.advisory
+
+    def _notice(self, state: _SectionState) -> AdvisoryNotice:
+        return AdvisoryNotice(
+            section_id=state.section.section_id,
+            map_version=state.section.version,
+            advisory=self._advisory(state),
+            issued_unix_s=int(self._clock.unix_s()) if self._clock_watch.plausible else 0,
+        )
+
+    def _window_check(self, state: _SectionState) -> Check:
+        interval = self._interval(state)
+        subject = f"section {state.section.section_id}"
+        if interval is None:
+            return Check("window", ok=False, detail=f"{subject}: no vehicle in the window", required=False)
+        detail = f"{subject}: {interval.passages_count} vehicles, the newest {interval.newest_age_s:.0f} s ago"
+        return Check("window", ok=interval.valid_for_s > 0.0, detail=detail, required=False)
+
+    def _unknown(self, section_id: str) -> Rejected:
+        return Rejected(Reason.UNKNOWN_SECTION, f"{section_id[:48]!r} is none of {', '.join(self._states)}")
+
+
+def _states(
+    sections: Iterable[RoadSection],
+    policy: AdvisoryPolicy,
+    section_policies: Mapping[str, AdvisoryPolicy],
+    limits: UnitLimits,
+) -> dict[str, _SectionState]:
+    states: dict[str, _SectionState] = {}
+    for section in sections:
+        if section.section_id in states:
+            raise ConfigurationError(f"section {section.section_id} is given twice")
+        # Once per map: the road's features never change while it stays the same.
+        road_row = road_features(section)
+        for feature, value in zip(ROAD_FEATURES, road_row, strict=True):
+            if not feature.minimum <= value <= feature.maximum:
+                raise ConfigurationError(f"section {section.section_id}: {feature.name} = {value:.6g} is out of range")
+        states[section.section_id] = _SectionState(
+            section=section,
+            policy=section_policies.get(section.section_id, policy),
+            road_row=road_row,
+            window=FrictionWindow(window_s=limits.window_s, capacity_count=limits.window_capacity_count),
+            listeners=set(),
+        )
+    if not states:
+        raise ConfigurationError("a unit without a section has nothing to do")
+    if unknown := set(section_policies) - set(states):
+        raise ConfigurationError(f"policies for sections that are not served: {', '.join(sorted(unknown))}")
+    return states
+
+
+def _judge(passage: Passage, state: _SectionState, model: FrictionModel) -> tuple[float | None, NotCounted]:
+    row = np.concatenate([summary_values(passage.summary).astype(np.float64), state.road_row])
+    mu = float(model.estimate_mu(row[None, :])[0])
+    flags = envelope_flag(row, model.manifest.envelope) | estimate_flag(mu, model.manifest)
+    return (mu if isfinite(mu) else None), flags
+
+
+def _notify(state: _SectionState) -> None:
+    for subscription in tuple(state.listeners):
+        subscription.notify()
