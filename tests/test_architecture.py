@@ -211,6 +211,7 @@ def carries_its_unit(name: str) -> bool:
         return bool(DEGREES_ALLOWED.search(name))
     return (
         name in ANY_UNIT
+        or words[-1] in {"features", "row", "rows", "values", "samples"}
         or "mu" in words  # friction wears its symbol where the formula has it: mu_new, estimate_mu
         or words[-1] in DIMENSIONLESS
         or (len(words) > 1 and words[-1] in UNITS)
