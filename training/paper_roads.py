@@ -13,48 +13,16 @@ drive it *is* the bank of the road, yet it is marked as inferred and advice neve
 
 from __future__ import annotations
 
-import dataclasses
 import sys
-from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 import roadgrip
-from roadgrip.alignment import Element, GradePoint, centre_line, clothoid, runoff_sigma_m, smoothed_along, straight
-from roadgrip.geodesy import anchors_of
-from roadgrip.section import BankOrigin, RoadSection, build_section, cross_slope_of_bank, inferred_bank_ratio
+from roadgrip.alignment import Element, GradePoint, clothoid, straight
 from roadgrip.section_file import section_to_json
 from roadgrip.units import deg_to_rad, kph_to_mps
+from training.road_design import RoadDesign, designed_section
 
 SECTIONS_FOLDER = Path(roadgrip.__file__).parent / "sections"
-CRS = "EPSG:25833"
-_GRID_M = 0.5
-
-
-@dataclass(frozen=True, slots=True)
-class PaperRoad:
-    """One road of the paper.
-
-    Attributes:
-        section_id: Also the name of its file.
-        name: The paper's word for it.
-        elements: Plan, in the direction of travel.
-        grades: Profile.
-        start_heading_rad: Counter-clockwise from east.
-        origin_m: East, north and height of the start in UTM zone 33.
-        rated_speed_mps: The paper's rated speed.
-        node_step_m: About how far apart the nodes of the map lie.
-    """
-
-    section_id: str
-    name: str
-    elements: tuple[Element, ...]
-    grades: tuple[GradePoint, ...]
-    start_heading_rad: float
-    origin_m: tuple[float, float, float]
-    rated_speed_mps: float
-    node_step_m: float
 
 
 def _turn(*arcs: tuple[float, float], transitions_m: tuple[float, ...], sign: float = 1.0) -> tuple[Element, ...]:
@@ -74,9 +42,9 @@ def _turn(*arcs: tuple[float, float], transitions_m: tuple[float, ...], sign: fl
     return tuple(elements)
 
 
-ROADS: tuple[PaperRoad, ...] = (
+ROADS: tuple[RoadDesign, ...] = (
     # 600 m, turning portions of radius 100 to 150 m, 80 km/h. Two portions with a gentler stretch between them.
-    PaperRoad(
+    RoadDesign(
         section_id="long-turn",
         name="Long turn",
         elements=(
@@ -99,7 +67,7 @@ ROADS: tuple[PaperRoad, ...] = (
         node_step_m=8.0,
     ),
     # Two curves, each close to 300 m with its transitions, radius 55 to 187 m, 70 km/h.
-    PaperRoad(
+    RoadDesign(
         section_id="s-turn",
         name="S-turn",
         elements=(
@@ -125,7 +93,7 @@ ROADS: tuple[PaperRoad, ...] = (
         node_step_m=7.0,
     ),
     # 100 m of sharp curve, radius 20 to 43 m, 20 km/h.
-    PaperRoad(
+    RoadDesign(
         section_id="sharp-turn",
         name="Sharp turn",
         elements=_turn(
@@ -140,36 +108,11 @@ ROADS: tuple[PaperRoad, ...] = (
 )
 
 
-def paper_section(road: PaperRoad) -> RoadSection:
-    """Return the section of one of the paper's roads."""
-    line = centre_line(
-        road.elements, node_step_m=road.node_step_m, start_heading_rad=road.start_heading_rad, grades=road.grades
-    )
-    fine = centre_line(road.elements, node_step_m=_GRID_M)
-    bank = inferred_bank_ratio(fine.curvature_1pm, speed_limit_mps=road.rated_speed_mps)
-    cross_slope = smoothed_along(
-        cross_slope_of_bank(bank, fine.curvature_1pm),
-        step_m=float(fine.station_m[1]),
-        sigma_m=runoff_sigma_m(road.rated_speed_mps),
-    )
-    section = build_section(
-        section_id=road.section_id,
-        name=road.name,
-        nodes_m=line.nodes_m,
-        speed_limit_mps=road.rated_speed_mps,
-        cross_slope_ratio=np.interp(line.station_m, fine.station_m, cross_slope),
-        bank_origin=BankOrigin.INFERRED,
-        crs=CRS,
-        origin_m=road.origin_m,
-    )
-    return dataclasses.replace(section, anchors=anchors_of(section))
-
-
 def main() -> None:
     """Write the section files."""
     SECTIONS_FOLDER.mkdir(exist_ok=True)
     for road in ROADS:
-        section = paper_section(road)
+        section = designed_section(road)
         path = SECTIONS_FOLDER / f"{road.section_id}.json"
         path.write_text(section_to_json(section), encoding="utf-8")
         sys.stdout.write(
