@@ -82,9 +82,7 @@ def utm_zone_of_crs(crs: str) -> int:
     for first, last, zone in _UTM_CODES:
         if first <= code <= last:
             return zone + code - first
-    message = (
-        f"coordinate reference {crs[:40]!r} is no northern UTM zone such as EPSG:25833 or EPSG:5973"
-    )
+    message = f"coordinate reference {crs[:40]!r} is no northern UTM zone such as EPSG:25833 or EPSG:5973"
     raise SectionError(message)
 
 

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, NoReturn
 import numpy as np
 
 from roadgrip.errors import SectionError
+from roadgrip.spline import evaluate, second_derivatives
 from roadgrip.units import mps_to_kph
 
 if TYPE_CHECKING:
@@ -344,62 +345,21 @@ def _frozen(values: FloatArray) -> FloatArray:
     return values
 
 
-def _second_derivatives(knots: FloatArray, values: FloatArray) -> FloatArray:
-    """Return the second derivatives at the knots of the cubic spline through the values. (n, k)
-
-    The first and the last piece are parabolas, so that a section cut in the middle of a curve keeps its curvature to
-    the end; natural ends would straighten it.
-
-    References:
-        de Boor, A Practical Guide to Splines, chapter IV; the tridiagonal system is solved by elimination.
-    """
-    h = np.diff(knots)
-    slope = np.diff(values, axis=0) / h[:, None]
-    right = 6.0 * np.diff(slope, axis=0)
-    diagonal = 2.0 * (h[:-1] + h[1:])
-    diagonal[0] += h[0]
-    diagonal[-1] += h[-1]
-    n = len(diagonal)
-    for i in range(1, n):
-        factor = h[i] / diagonal[i - 1]
-        diagonal[i] -= factor * h[i]
-        right[i] -= factor * right[i - 1]
-    second = np.zeros_like(values)
-    for i in range(n - 1, -1, -1):
-        following = h[i + 1] * second[i + 2] if i + 1 < n else 0.0
-        second[i + 1] = (right[i] - following) / diagonal[i]
-    second[0], second[-1] = second[1], second[-2]
-    return second
-
-
-def _evaluate(
-    knots: FloatArray, values: FloatArray, second: FloatArray, at: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return value, first and second derivative of the spline. Each (m, k)"""
-    i = np.clip(np.searchsorted(knots, at, side="right") - 1, 0, len(knots) - 2)
-    h = (knots[i + 1] - knots[i])[:, None]
-    b = (at - knots[i])[:, None] / h
-    a = 1.0 - b
-    value = a * values[i] + b * values[i + 1] + ((a**3 - a) * second[i] + (b**3 - b) * second[i + 1]) * h**2 / 6.0
-    first = (values[i + 1] - values[i]) / h + ((3 * b**2 - 1) * second[i + 1] - (3 * a**2 - 1) * second[i]) * h / 6.0
-    return value, first, a * second[i] + b * second[i + 1]
-
-
 def _profile(section: RoadSection) -> SectionProfile:
     nodes = section.nodes_m
     chords = np.hypot(np.diff(nodes[:, 0]), np.diff(nodes[:, 1]))
     knots = np.concatenate([[0.0], np.cumsum(chords)])
     values = np.column_stack([nodes, section.cross_slope_ratio])
-    second = _second_derivatives(knots, values)
+    second = second_derivatives(knots, values)
 
     # Horizontal arc length over the chord parameter, then equal steps of it.
     fine = np.linspace(0.0, knots[-1], max(64, int(np.ceil(knots[-1] / 0.1)) + 1))
-    _, first, _ = _evaluate(knots, values, second, fine)
+    _, first, _ = evaluate(knots, values, second, fine)
     pace = np.hypot(first[:, 0], first[:, 1])
     travelled = np.concatenate([[0.0], np.cumsum(np.diff(fine) * (pace[1:] + pace[:-1]) / 2.0)])
     count = max(2, round(float(travelled[-1]) / STATION_STEP_M) + 1)
     station = np.linspace(0.0, float(travelled[-1]), count)
-    value, first, curve = _evaluate(knots, values, second, np.interp(station, travelled, fine))
+    value, first, curve = evaluate(knots, values, second, np.interp(station, travelled, fine))
 
     dx, dy = first[:, 0], first[:, 1]
     ddx, ddy = curve[:, 0], curve[:, 1]
