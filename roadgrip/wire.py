@@ -1,0 +1,403 @@
+"""The messages on the air: bytes to records and back.
+
+A message is one deterministic CBOR map with small integer keys (`docs/wire.cddl` is the schema), optionally inside a
+COSE_Sign1. All quantities but the statistics of a summary are integers in fixed steps, so NaN has no spelling, and
+what was decoded encodes to the same bytes again. The statistics are 32-bit floats.
+
+What is checked here is structure: that the bytes are a message and every number is one. Whether a passage can be
+believed is decided behind the door.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Mapping
+from functools import lru_cache
+from math import isfinite
+from typing import Any, NamedTuple, TypeVar
+
+import cbor2
+
+from roadgrip.cbor import TAG_FLOAT32_LE, strict_dumps, strict_loads
+from roadgrip.errors import WireError
+from roadgrip.features import KINEMATIC_FEATURES, TABLE_DIGEST
+from roadgrip.protocol import (
+    ADVISORY_REASON_CODES,
+    CONFIDENCE_CODES,
+    FRAGMENT_BYTES,
+    FRAMES_LIMIT_COUNT,
+    REASON_CODES,
+    Kind,
+    external_aad_of,
+)
+from roadgrip.records import (
+    PASSAGE_ID_BYTES,
+    Accepted,
+    Advisory,
+    AdvisoryNotice,
+    Arrival,
+    Beacon,
+    FrictionInterval,
+    KinematicSummary,
+    MapOffer,
+    Message,
+    NotCounted,
+    Passage,
+    QualityFlag,
+    Reason,
+    Receipt,
+    Rejected,
+)
+from roadgrip.signing import Signer, Verifier, open_payload, sign
+from roadgrip.units import kph_to_mps, mps_to_kph
+from roadgrip.wire_fields import (
+    UINT16_MAX,
+    UINT32_MAX,
+    Fields,
+    bytes_in,
+    check_keys,
+    checked_int,
+    checked_passage_id,
+    checked_section_id,
+    digest_bytes,
+    digest_in,
+    int_in,
+    meaning_of,
+    meanings,
+    quanta,
+    text_in,
+    typed_array_in,
+)
+from roadgrip.wire_map import map_from_fields, map_to_fields
+
+__all__ = ["Kind", "decode_message", "encode_message", "kind_of", "rounded_to_wire"]
+
+M = TypeVar("M", bound=Message)
+
+DETAIL_LIMIT_CHARS = 120
+"""The detail of a rejection is cut here; nobody needs it to act."""
+SUMMARY_VALUES_LIMIT_COUNT = 256
+"""More than any feature table to come has; the table's digest says how many there must be."""
+UNIX_LIMIT_S = 2**40
+
+_REASONS = meanings(REASON_CODES)
+_ADVISORY_REASONS = meanings(ADVISORY_REASON_CODES)
+_CONFIDENCES = meanings(CONFIDENCE_CODES)
+_ALL_QUALITY = sum(QualityFlag)
+_ALL_NOT_COUNTED = sum(NotCounted)
+_INTERVAL_FIELDS_COUNT = 10
+
+
+def encode_message(message: Message, *, signer: Signer | None = None) -> bytes:
+    """Return the bytes of a message, the payload that `roadgrip.frames.split_into_frames` cuts.
+
+    Numbers are rounded to the steps of the format, see `rounded_to_wire`.
+
+    Args:
+        message: The record.
+        signer: Signs it, if given.
+
+    Raises:
+        WireError: The record holds what has no spelling on the air; the reason is the one a receiver would give.
+    """
+    kind = kind_of(message)
+    payload = strict_dumps(_CODECS[kind].to_fields(message))
+    if signer is not None:
+        payload = sign(payload, signer=signer, external_aad=external_aad_of(kind))
+    _check_size(kind, payload)
+    return payload
+
+
+def decode_message(kind: Kind, payload: bytes, *, verifier: Verifier | None = None) -> Message:
+    """Return the record that the bytes of a message hold.
+
+    Args:
+        kind: What the frames said it is.
+        payload: The bytes, whole.
+        verifier: Checks the signature; see `roadgrip.signing.open_payload` for what None means.
+
+    Raises:
+        WireError: OVERSIZED, MALFORMED, NOT_FINITE, OUT_OF_RANGE, IMPOSSIBLE_AGE, IMPOSSIBLE_DURATION, UNSIGNED,
+            BAD_SIGNATURE or UNKNOWN_KEY.
+    """
+    _check_size(kind, payload)
+    content = open_payload(payload, verifier=verifier, external_aad=external_aad_of(kind))
+    message: Message = _CODECS[kind].from_fields(strict_loads(content))
+    return message
+
+
+def kind_of(message: Message) -> Kind:
+    """Return what a record is on the air."""
+    return _KINDS[type(message)]
+
+
+def rounded_to_wire(message: M) -> M:
+    """Return the message as its receiver will see it; rounding twice changes nothing more.
+
+    Statistics are rounded to 32-bit floats, times to 10 ms, friction to 1e-4, advised speeds to 0.01 km/h; a long
+    detail of a rejection is cut.
+
+    Raises:
+        WireError: As `encode_message`.
+    """
+    kind = kind_of(message)
+    rounded: M = _CODECS[kind].from_fields(_CODECS[kind].to_fields(message))
+    return rounded
+
+
+def _check_size(kind: Kind, payload: bytes) -> None:
+    limit = FRAMES_LIMIT_COUNT[kind] * FRAGMENT_BYTES
+    if len(payload) > limit:
+        raise WireError(Reason.OVERSIZED, f"{kind.name} of {len(payload)} bytes; {limit} are possible")
+
+
+# ARRIVAL
+
+
+def _arrival_to_fields(arrival: Arrival) -> Fields:
+    fields: Fields = {0: checked_passage_id(arrival.passage_id), 1: checked_section_id(arrival.section_id)}
+    if arrival.known_map_version:
+        fields[2] = digest_bytes(arrival.known_map_version, name="the map version")
+    return fields
+
+
+def _arrival_from_fields(value: object) -> Arrival:
+    fields = check_keys(value, required=frozenset({0, 1}), optional=frozenset({2}))
+    return Arrival(
+        passage_id=bytes_in(fields, 0, size=PASSAGE_ID_BYTES, name="the passage id"),
+        section_id=checked_section_id(fields[1]),
+        known_map_version=digest_in(fields, 2, name="the map version") if 2 in fields else "",
+    )
+
+
+# ADVISORY and BEACON
+
+_INTERVAL_LIMITS: tuple[tuple[str, int, int], ...] = (
+    ("the lower friction", 10_000, UINT16_MAX),
+    ("the upper friction", 10_000, UINT16_MAX),
+    ("the median friction", 10_000, UINT16_MAX),
+    ("the median's lower bound", 10_000, UINT16_MAX),
+    ("the median's upper bound", 10_000, UINT16_MAX),
+    ("the coverage", 10_000, 10_000),
+    ("the number of passages", 1, UINT32_MAX),
+    ("the newest age", 100, UINT32_MAX),
+    ("the validity", 100, UINT32_MAX),
+)
+
+
+def _interval_to_array(interval: FrictionInterval) -> list[int]:
+    values = (
+        interval.mu_low,
+        interval.mu_new,
+        interval.median_mu,
+        interval.median_low_mu,
+        interval.median_high_mu,
+        interval.coverage_frac,
+        interval.passages_count,
+        interval.newest_age_s,
+        interval.valid_for_s,
+    )
+    steps = [
+        quanta(value, per_unit=per_unit, name=name, high=high)
+        for value, (name, per_unit, high) in zip(values, _INTERVAL_LIMITS, strict=True)
+    ]
+    return [*steps, CONFIDENCE_CODES[interval.confidence]]
+
+
+def _interval_from_array(value: object) -> FrictionInterval:
+    if type(value) is not list or len(value) != _INTERVAL_FIELDS_COUNT:
+        raise WireError(Reason.MALFORMED, "a friction interval is ten numbers")
+    low, new, median, median_low, median_high, coverage, count, age, validity = (
+        checked_int(steps, name=name, low=0, high=high)
+        for steps, (name, _, high) in zip(value[:-1], _INTERVAL_LIMITS, strict=True)
+    )
+    return FrictionInterval(
+        mu_low=low / 10_000,
+        mu_new=new / 10_000,
+        median_mu=median / 10_000,
+        median_low_mu=median_low / 10_000,
+        median_high_mu=median_high / 10_000,
+        coverage_frac=coverage / 10_000,
+        passages_count=count,
+        confidence=meaning_of(value[-1], _CONFIDENCES, name="confidence"),
+        newest_age_s=age / 100,
+        valid_for_s=validity / 100,
+    )
+
+
+def _speed_quanta(speed_mps: float) -> int:
+    # Hundredths of km/h, not cm/s: 60 km/h would come out as 60.012 and stand above a limit of 60.
+    return quanta(mps_to_kph(speed_mps), per_unit=100, name="the advised speed", high=UINT16_MAX)
+
+
+def _speed_mps_in(fields: Fields, key: int) -> float:
+    return kph_to_mps(int_in(fields, key, name="the advised speed", high=UINT16_MAX) / 100)
+
+
+def _advisory_to_fields(notice: AdvisoryNotice) -> Fields:
+    advisory = notice.advisory
+    fields: Fields = {
+        0: checked_section_id(notice.section_id),
+        1: digest_bytes(notice.map_version, name="the map version"),
+        2: quanta(notice.issued_unix_s, per_unit=1, name="the time of issue", high=UNIX_LIMIT_S),
+        3: _speed_quanta(advisory.speed_mps),
+        4: ADVISORY_REASON_CODES[advisory.reason],
+        5: CONFIDENCE_CODES[advisory.confidence],
+        6: quanta(advisory.valid_for_s, per_unit=100, name="the validity"),
+    }
+    if advisory.interval is not None:
+        fields[7] = _interval_to_array(advisory.interval)
+    return fields
+
+
+def _advisory_from_fields(value: object) -> AdvisoryNotice:
+    fields = check_keys(value, required=frozenset(range(7)), optional=frozenset({7}))
+    return AdvisoryNotice(
+        section_id=checked_section_id(fields[0]),
+        map_version=digest_in(fields, 1, name="the map version"),
+        advisory=Advisory(
+            speed_mps=_speed_mps_in(fields, 3),
+            reason=meaning_of(fields[4], _ADVISORY_REASONS, name="reason of an advisory"),
+            confidence=meaning_of(fields[5], _CONFIDENCES, name="confidence"),
+            interval=_interval_from_array(fields[7]) if 7 in fields else None,
+            valid_for_s=int_in(fields, 6, name="the validity") / 100,
+        ),
+        issued_unix_s=int_in(fields, 2, name="the time of issue", high=UNIX_LIMIT_S),
+    )
+
+
+def _beacon_to_fields(beacon: Beacon) -> Fields:
+    return {
+        0: checked_section_id(beacon.section_id),
+        1: digest_bytes(beacon.map_version, name="the map version"),
+        2: _speed_quanta(beacon.speed_mps),
+        3: ADVISORY_REASON_CODES[beacon.reason],
+        4: CONFIDENCE_CODES[beacon.confidence],
+        5: quanta(beacon.valid_for_s, per_unit=100, name="the validity"),
+    }
+
+
+def _beacon_from_fields(value: object) -> Beacon:
+    fields = check_keys(value, required=frozenset(range(6)))
+    return Beacon(
+        section_id=checked_section_id(fields[0]),
+        map_version=digest_in(fields, 1, name="the map version"),
+        speed_mps=_speed_mps_in(fields, 2),
+        reason=meaning_of(fields[3], _ADVISORY_REASONS, name="reason of an advisory"),
+        confidence=meaning_of(fields[4], _CONFIDENCES, name="confidence"),
+        valid_for_s=int_in(fields, 5, name="the validity") / 100,
+    )
+
+
+# SUMMARY
+
+_SUMMARY_KEYS = frozenset(range(8))
+
+
+@lru_cache(maxsize=8)
+def _floats(count: int) -> struct.Struct:
+    return struct.Struct(f"<{count}f")
+
+
+def _check_finite(values: tuple[float, ...]) -> None:
+    # The sum of finite 32-bit floats is finite in 64 bits, and that of others never is.
+    if not isfinite(sum(values)):
+        raise WireError(Reason.NOT_FINITE, "a statistic is not finite")
+
+
+def _check_count(count: int, *, table_digest: str) -> None:
+    # Of another table nobody knows the length; whoever knows which tables are served refuses it by its digest.
+    known = table_digest == TABLE_DIGEST
+    if (known and count != len(KINEMATIC_FEATURES)) or not 0 < count <= SUMMARY_VALUES_LIMIT_COUNT:
+        raise WireError(Reason.MALFORMED, f"{count} statistics for feature table {table_digest}")
+
+
+def _summary_to_fields(passage: Passage) -> Fields:
+    summary = passage.summary
+    _check_count(len(summary.values), table_digest=summary.table_digest)
+    _check_finite(summary.values)
+    try:
+        values = _floats(len(summary.values)).pack(*summary.values)
+    except OverflowError as error:
+        raise WireError(Reason.NOT_FINITE, "a statistic is not finite in 32 bits") from error
+    return {
+        0: checked_passage_id(passage.passage_id),
+        1: checked_section_id(passage.section_id),
+        2: digest_bytes(passage.map_version, name="the map version"),
+        3: digest_bytes(summary.table_digest, name="the feature table"),
+        4: cbor2.CBORTag(TAG_FLOAT32_LE, values),
+        5: quanta(summary.duration_s, per_unit=100, name="the duration", reason=Reason.IMPOSSIBLE_DURATION),
+        6: checked_int(int(summary.quality), name="the quality", low=0, high=_ALL_QUALITY),
+        7: quanta(passage.age_s, per_unit=100, name="the age", reason=Reason.IMPOSSIBLE_AGE),
+    }
+
+
+def _summary_from_fields(value: object) -> Passage:
+    fields = check_keys(value, required=_SUMMARY_KEYS)
+    table_digest = digest_in(fields, 3, name="the feature table")
+    raw = typed_array_in(fields, 4, tag=TAG_FLOAT32_LE, item_bytes=4, name="the statistics")
+    _check_count(len(raw) // 4, table_digest=table_digest)
+    values = _floats(len(raw) // 4).unpack(raw)
+    _check_finite(values)
+    return Passage(
+        passage_id=bytes_in(fields, 0, size=PASSAGE_ID_BYTES, name="the passage id"),
+        section_id=checked_section_id(fields[1]),
+        map_version=digest_in(fields, 2, name="the map version"),
+        summary=KinematicSummary(
+            values=values,
+            table_digest=table_digest,
+            duration_s=int_in(fields, 5, name="the duration", reason=Reason.IMPOSSIBLE_DURATION) / 100,
+            quality=QualityFlag(int_in(fields, 6, name="the quality", high=_ALL_QUALITY)),
+        ),
+        age_s=int_in(fields, 7, name="the age", reason=Reason.IMPOSSIBLE_AGE) / 100,
+    )
+
+
+# RECEIPT
+
+
+def _receipt_to_fields(receipt: Receipt) -> Fields:
+    passage_id = checked_passage_id(receipt.passage_id)
+    match receipt.outcome:
+        case Accepted(flags):
+            return {0: passage_id, 1: int(flags)}
+        case Rejected(reason, detail):
+            fields: Fields = {0: passage_id, 2: REASON_CODES[reason]}
+            if detail:
+                fields[3] = detail.encode(errors="replace").decode()[:DETAIL_LIMIT_CHARS]
+            return fields
+
+
+def _receipt_from_fields(value: object) -> Receipt:
+    outcome: Accepted | Rejected
+    if type(value) is dict and 1 in value:
+        fields = check_keys(value, required=frozenset({0, 1}))
+        outcome = Accepted(NotCounted(int_in(fields, 1, name="the flags", high=_ALL_NOT_COUNTED)))
+    else:
+        fields = check_keys(value, required=frozenset({0, 2}), optional=frozenset({3}))
+        detail = text_in(fields, 3, limit_chars=DETAIL_LIMIT_CHARS, name="the detail") if 3 in fields else ""
+        outcome = Rejected(meaning_of(fields[2], _REASONS, name="reason"), detail)
+    return Receipt(passage_id=bytes_in(fields, 0, size=PASSAGE_ID_BYTES, name="the passage id"), outcome=outcome)
+
+
+class _Codec(NamedTuple):
+    to_fields: Callable[[Any], Fields]
+    from_fields: Callable[[object], Any]
+
+
+_CODECS: Mapping[Kind, _Codec] = {
+    Kind.ARRIVAL: _Codec(_arrival_to_fields, _arrival_from_fields),
+    Kind.MAP: _Codec(map_to_fields, map_from_fields),
+    Kind.ADVISORY: _Codec(_advisory_to_fields, _advisory_from_fields),
+    Kind.SUMMARY: _Codec(_summary_to_fields, _summary_from_fields),
+    Kind.RECEIPT: _Codec(_receipt_to_fields, _receipt_from_fields),
+    Kind.BEACON: _Codec(_beacon_to_fields, _beacon_from_fields),
+}
+_KINDS: Mapping[type, Kind] = {
+    Arrival: Kind.ARRIVAL,
+    MapOffer: Kind.MAP,
+    AdvisoryNotice: Kind.ADVISORY,
+    Passage: Kind.SUMMARY,
+    Receipt: Kind.RECEIPT,
+    Beacon: Kind.BEACON,
+}
