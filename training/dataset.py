@@ -99,7 +99,11 @@ def read_runs(source: Path) -> Runs:
     paths = sorted(source.glob("*.parquet")) if source.is_dir() else [source]
     if not paths or not all(path.is_file() for path in paths):
         raise DatasetError(f"no Parquet files at {source}; make some with `roadgrip-train simulate`")
-    parts = [_read_one(path) for path in paths]
+    return joined([_read_one(path) for path in paths])
+
+
+def joined(parts: list[Runs]) -> Runs:
+    """Return the rows of all parts, one after another."""
     return Runs(
         features=np.concatenate([part.features for part in parts]),
         labels={name: np.concatenate([part.labels[name] for part in parts]) for name in LABEL_COLUMNS},

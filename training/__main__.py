@@ -1,0 +1,345 @@
+"""roadgrip-train: drives with known friction become the model that road side units run.
+
+Four steps, each leaving its result on disk, or all of them at once::
+
+    roadgrip-train simulate --out build/runs          drive a design, write Parquet
+    roadgrip-train fit build/runs --out build/fit     grow trees, judge them on runs they never saw
+    roadgrip-train export build/fit --out model.onnx  convert, and prove that nothing changed
+    roadgrip-train bundle build/runs --fit build/fit --out build/bundle
+
+    roadgrip-train default-bundle                     remake the bundle that comes with roadgrip
+"""
+
+from __future__ import annotations
+
+import json
+import platform
+from importlib.metadata import version
+from importlib.resources import files
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Table
+
+from roadgrip.bundle import BundleManifest
+from roadgrip.errors import RoadgripError, SectionError
+from roadgrip.section import RoadSection
+from roadgrip.section_file import section_from_json
+from training import simulation
+from training.bundling import write_bundle
+from training.dataset import COMPLETED, Runs, read_runs, write_runs
+from training.export import check_parity, parity_rows, to_onnx
+from training.fit_files import read_fit, read_trees, write_fit
+from training.regressor import FitParameters, Fitted, fit
+from training.scenarios import Design, mixed_design, paper_roads_design
+from vehicle_client.simulator.plan import DriverKind, SensorGrade
+
+PAPER_ROADS = ("long-turn", "s-turn", "sharp-turn")
+BUNDLE_NAME = "roadgrip-global"
+DEFAULT_BUNDLE_FOLDER = Path(str(files("rsu_app") / "default_bundle"))
+DEFAULT_SEED = 20_260_701
+DEFAULT_RUNS_COUNT = 250
+DEFAULT_RANDOM_ROADS_COUNT = 120
+DEFAULT_RANDOM_RUNS_COUNT = 4
+
+app = typer.Typer(
+    name="roadgrip-train",
+    help=__doc__,
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+)
+console = Console(stderr=True)
+
+
+def _print_version(asked: bool) -> None:
+    if asked:
+        typer.echo(f"roadgrip {version('roadgrip')}")
+        raise typer.Exit
+
+
+@app.callback()
+def _root(
+    show_version: Annotated[
+        bool, typer.Option("--version", help="Print the version.", callback=_print_version, is_eager=True)
+    ] = False,
+) -> None:
+    """Turn drives with known friction into the model that road side units run."""
+
+
+DesignName = Annotated[
+    str,
+    typer.Option("--design", help="paper-roads: the paper's three roads. mixed: those and random ones, fewer each."),
+]
+Grade = Annotated[
+    SensorGrade, typer.Option("--sensors", help="ideal: the paper's setting. automotive: what a car has.")
+]
+Kind = Annotated[
+    DriverKind, typer.Option("--driver", help="prudent: also judges the surface by its looks. reacting: does not.")
+]
+RunsCount = Annotated[int, typer.Option("--runs", min=1, help="Vehicles per road and base friction.")]
+Seed = Annotated[int, typer.Option("--seed", min=0, help="Changes every run; the same seed gives the same runs.")]
+Workers = Annotated[int | None, typer.Option("--workers", min=1, help="Processes; all processors if left out.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print the result as JSON, for machines.")]
+Trees = Annotated[int, typer.Option("--trees", min=1, help="Boosting rounds.")]
+Depth = Annotated[int, typer.Option("--depth", min=1, max=12, help="Levels of one tree.")]
+RunsFolder = Annotated[Path, typer.Argument(help="Folder of Parquet shards, or one Parquet file.")]
+
+
+@app.command()
+def simulate(
+    *,
+    out: Annotated[Path, typer.Option("--out", help="Folder for the Parquet shards; goes on where it was.")],
+    design: DesignName = "paper-roads",
+    sensors: Grade = SensorGrade.AUTOMOTIVE,
+    driver: Kind = DriverKind.PRUDENT,
+    runs: RunsCount = 20,
+    random_roads: Annotated[int, typer.Option(min=0, help="Random roads of the mixed design.")] = 30,
+    random_runs: Annotated[int, typer.Option(min=1, help="Vehicles per base friction on each random road.")] = 4,
+    section: Annotated[list[Path] | None, typer.Option(help="Drive this section file instead; repeatable.")] = None,
+    seed: Seed = DEFAULT_SEED,
+    workers: Workers = None,
+    as_json: AsJson = False,
+) -> None:
+    """Drive a design and write one row of features and truth per run.
+
+    Runs that leave the road stay in the table with their outcome. A killed run goes on where it was when the
+    command is given again.
+
+    Example: roadgrip-train simulate --design paper-roads --sensors ideal --runs 100 --out build/ideal
+    """
+    sections = tuple(_read_section(path) for path in section) if section else _paper_sections()
+    if design == "paper-roads":
+        chosen = paper_roads_design(sections, runs_count=runs, sensor_grade=sensors, seed=seed, driver_kind=driver)
+    elif design == "mixed":
+        chosen = mixed_design(
+            sections,
+            runs_count=runs,
+            random_roads_count=random_roads,
+            random_runs_count=random_runs,
+            sensor_grade=sensors,
+            seed=seed,
+            driver_kind=driver,
+        )
+    else:
+        raise typer.BadParameter(f"no design {design!r}; there are paper-roads and mixed", param_hint="--design")
+    driven = _drive(chosen, out, workers=workers)
+    outcomes = {name: driven.outcome.count(name) for name in sorted(set(driven.outcome))}
+    if as_json:
+        typer.echo(json.dumps({"runs_count": len(driven), "outcomes": outcomes, "dataset_digest": driven.digest()}))
+    else:
+        _print_outcomes(driven)
+        typer.echo(f"{len(driven)} runs in {out}, data set {driven.digest()}")
+
+
+@app.command(name="fit")
+def fit_command(
+    data: RunsFolder,
+    *,
+    out: Annotated[Path, typer.Option("--out", help="Folder for the trees.")],
+    trees: Trees = FitParameters.trees_count,
+    depth: Depth = FitParameters.depth_count,
+    seed: Annotated[int, typer.Option(min=0, help="Of the split and of the trees.")] = FitParameters.seed,
+    as_json: AsJson = False,
+) -> None:
+    """Fit boosted trees to nine tenths of the runs and judge them on the rest.
+
+    Example: roadgrip-train fit build/ideal --out build/fit
+    """
+    runs = read_runs(data)
+    parameters = FitParameters(trees_count=trees, depth_count=depth, seed=seed)
+    fitted = _fit(runs, parameters)
+    write_fit(fitted, out, runs=runs, parameters=parameters)
+    _print_metrics(fitted.metrics, as_json=as_json)
+
+
+@app.command()
+def export(
+    fit_folder: Annotated[Path, typer.Argument(help="What `fit` wrote.")],
+    out: Annotated[Path, typer.Option("--out", help="The ONNX file.")],
+    data: Annotated[Path, typer.Option("--data", help="The runs it was fitted to: both models must agree on them.")],
+    as_json: AsJson = False,
+) -> None:
+    """Convert the trees to ONNX; nothing is written unless both answer alike on thousands of rows.
+
+    Example: roadgrip-train export build/fit --data build/ideal --out build/model.onnx
+    """
+    trees = read_trees(fit_folder)
+    runs = read_runs(data)
+    model = to_onnx(trees)
+    rows = parity_rows(runs.features[runs.usable], rng=np.random.default_rng(0))
+    difference_mu = check_parity(trees, model, rows)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    out.write_bytes(model)
+    if as_json:
+        typer.echo(json.dumps({"rows_count": len(rows), "largest_difference_mu": difference_mu, "bytes": len(model)}))
+    else:
+        typer.echo(f"{out}: {len(model) / 1e6:.2f} MB; differs from the trees by at most {difference_mu:.1e}")
+
+
+@app.command()
+def bundle(
+    data: RunsFolder,
+    fit_folder: Annotated[Path, typer.Option("--fit", help="What `fit` wrote for these runs.")],
+    out: Annotated[Path, typer.Option("--out", help="Folder for the bundle.")],
+    name: Annotated[str, typer.Option(help="Name of the bundle.")] = BUNDLE_NAME,
+    as_json: AsJson = False,
+) -> None:
+    """Make a bundle that a road side unit can load: model, envelope, golden vectors, figures, provenance.
+
+    Example: roadgrip-train bundle build/ideal --fit build/fit --out build/bundle
+    """
+    runs = read_runs(data)
+    fitted, parameters = read_fit(fit_folder, runs=runs)
+    manifest = _bundle(runs, fitted, out, name=name, command="roadgrip-train bundle", parameters=parameters)
+    _print_bundle(manifest, out, as_json=as_json)
+
+
+@app.command()
+def default_bundle(
+    *,
+    out: Annotated[Path, typer.Option("--out", help="Folder for the bundle.")] = DEFAULT_BUNDLE_FOLDER,
+    work: Annotated[Path, typer.Option("--work", help="Folder for the runs; goes on where it was.")] = Path(
+        "build/default-bundle"
+    ),
+    runs: RunsCount = DEFAULT_RUNS_COUNT,
+    random_roads: Annotated[int, typer.Option(min=0, help="Random roads.")] = DEFAULT_RANDOM_ROADS_COUNT,
+    seed: Seed = DEFAULT_SEED,
+    workers: Workers = None,
+    as_json: AsJson = False,
+) -> None:
+    """Remake the bundle that comes with roadgrip: simulate, fit, export, bundle.
+
+    The paper's three roads with many vehicles, random roads with a few, automotive sensors, prudent drivers.
+    """
+    design = mixed_design(
+        _paper_sections(),
+        runs_count=runs,
+        random_roads_count=random_roads,
+        random_runs_count=DEFAULT_RANDOM_RUNS_COUNT,
+        sensor_grade=SensorGrade.AUTOMOTIVE,
+        seed=seed,
+    )
+    driven = _drive(design, work / "runs", workers=workers)
+    write_runs(driven, work / "all.parquet", description={"design": design.name, "seed": str(seed)})
+    parameters = FitParameters()
+    fitted = _fit(driven, parameters)
+    command = f"roadgrip-train default-bundle --runs {runs} --random-roads {random_roads} --seed {seed}"
+    manifest = _bundle(driven, fitted, out, name=BUNDLE_NAME, command=command, parameters=parameters)
+    if not as_json:
+        _print_outcomes(driven)
+    _print_bundle(manifest, out, as_json=as_json)
+
+
+def main() -> None:
+    """Run the command line; an error of ours is one clear line and exit code 2."""
+    try:
+        app()
+    except RoadgripError as error:
+        console.print(f"[red]error:[/red] {error}", highlight=False)
+        raise SystemExit(2) from error
+
+
+def _read_section(path: Path) -> RoadSection:
+    try:
+        return section_from_json(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise SectionError(f"cannot read {path}: {error.strerror}") from error
+
+
+def _paper_sections() -> tuple[RoadSection, ...]:
+    folder = files("roadgrip") / "sections"
+    return tuple(section_from_json((folder / f"{name}.json").read_text(encoding="utf-8")) for name in PAPER_ROADS)
+
+
+def _progress() -> Progress:
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+        console=console,
+    )
+
+
+def _drive(design: Design, folder: Path, *, workers: int | None) -> Runs:
+    with _progress() as bar:
+        task = bar.add_task(f"driving {design.name} (the first time, compiling)", total=design.runs_count)
+
+        def show(progress: simulation.Progress) -> None:
+            bar.update(task, completed=progress.runs_done_count)
+
+        return simulation.drive_design(design, folder, workers_count=workers, on_progress=show)
+
+
+def _fit(runs: Runs, parameters: FitParameters) -> Fitted:
+    with _progress() as bar:
+        task = bar.add_task(f"growing trees on {int(runs.usable.sum())} runs", total=parameters.trees_count)
+        return fit(runs, parameters, on_round=lambda done: bar.update(task, completed=done))
+
+
+def _bundle(
+    runs: Runs, fitted: Fitted, out: Path, *, name: str, command: str, parameters: FitParameters
+) -> BundleManifest:
+    tools = ("roadgrip", "numpy", "xgboost-cpu", "onnx", "onnxmltools", "onnxruntime")
+    provenance = {
+        "command": command,
+        "fit_parameters": str(parameters),
+        "python": platform.python_version(),
+        **{f"version.{tool}": _version_of(tool) for tool in tools},
+    }
+    return write_bundle(runs, fitted, out, name=name, provenance=provenance, rng=np.random.default_rng(parameters.seed))
+
+
+def _version_of(distribution: str) -> str:
+    try:
+        return version(distribution)
+    except ModuleNotFoundError:
+        return "not installed under this name"
+
+
+def _print_outcomes(runs: Runs) -> None:
+    """Print how the runs ended, a row per base friction."""
+    names = sorted(set(runs.outcome), key=lambda name: (name != COMPLETED, name))
+    table = Table("base friction", "runs", *names, title="How the runs ended")
+    base = np.round(runs.labels["base_friction_mu"], 3)
+    outcomes = np.array(runs.outcome)
+    for mu in np.unique(base):
+        rows = base == mu
+        counts = [int((outcomes[rows] == name).sum()) for name in names]
+        table.add_row(f"{mu:.2f}", str(int(rows.sum())), *map(str, counts))
+    Console().print(table)
+
+
+def _print_metrics(metrics: dict[str, float], *, as_json: bool) -> None:
+    if as_json:
+        typer.echo(json.dumps(metrics))
+        return
+    roads = {name.split(".", 1)[1]: value for name, value in metrics.items() if name.startswith("mape_ratio.")}
+    table = Table("road", "MAPE %", title=f"On {metrics['rows_count']:.0f} runs that were not learned from")
+    table.add_row("all", f"{100 * metrics['mape_ratio']:.2f}")
+    for road, value in roads.items():
+        if not road.startswith("random-"):
+            table.add_row(road, f"{100 * value:.2f}")
+    table.caption = f"relative RMS {100 * metrics['relative_rms_ratio']:.2f} %"
+    Console().print(table)
+
+
+def _print_bundle(manifest: BundleManifest, folder: Path, *, as_json: bool) -> None:
+    if as_json:
+        typer.echo(json.dumps({"bundle_id": manifest.bundle_id, "folder": str(folder), "metrics": manifest.metrics}))
+        return
+    _print_metrics(manifest.metrics, as_json=False)
+    typer.echo(
+        f"bundle {manifest.name} {manifest.bundle_id} in {folder}; friction {manifest.mu_range[0]:.2f} to "
+        f"{manifest.mu_range[1]:.2f}; {manifest.envelope.outside_allowed_count} features may lie outside the envelope"
+    )
+
+
+if __name__ == "__main__":
+    main()
