@@ -19,6 +19,7 @@ from math import inf
 from typing import TYPE_CHECKING, Protocol
 
 from roadgrip.errors import WireError
+from roadgrip.frames import exchange_id_of, unread_passage_id
 from roadgrip.records import (
     VEHICLE_FRAME_BUDGET,
     Accepted,
@@ -43,11 +44,11 @@ class FrameCodec(Protocol):
     """Messages to frames and back; one codec belongs to one exchange."""
 
     def frames_of(self, message: Message) -> tuple[bytes, ...]:
-        """Return the frames that carry a message. Every call makes a new message, also of the same record."""
+        """Return the frames that carry a message."""
         ...
 
     def message_of(self, frame: bytes, *, now_s: float) -> Message | None:
-        """Return the message that this frame completes, or None while frames of it are missing or it was known.
+        """Return the message that this frame completes, or None while frames of it are missing or it is not ours.
 
         Raises:
             WireError: The frame, or the message it completes, is not of ours.
@@ -186,6 +187,7 @@ class Exchange:
             frame_budget_count: Frames that may leave in this passage.
         """
         self._passage_id = passage_id
+        self._unread_id = unread_passage_id(exchange_id_of(passage_id))
         self._section_id = section_id
         self._codec = codec
         self._section = known_section
@@ -350,16 +352,27 @@ class Exchange:
         return not repeated
 
     def _take_receipt(self, receipt: Receipt, now_s: float) -> bool:
-        if receipt.passage_id != self._passage_id or self._stage is not Stage.REPORTING:
-            return False
         outcome = receipt.outcome
         repeated = outcome == self._outcome
-        self._outcome = outcome
+        if self._stage is Stage.ENDED:
+            return False
+        if receipt.passage_id == self._unread_id and isinstance(outcome, Rejected):
+            # The unit could not read what we sent. Whoever heard a frame's header could say so too, so this alone
+            # ends nothing; it is what the exchange ends with if every further try fares alike.
+            self._outcome = outcome
+            return not repeated
+        if receipt.passage_id != self._passage_id:
+            return False
         if isinstance(outcome, Accepted):
+            if self._stage is not Stage.REPORTING:
+                return False
+            self._outcome = outcome
             self._end(Ending.ACCEPTED)
-        elif not outcome.reason.may_retry:
+            return True
+        self._outcome = outcome
+        if not outcome.reason.may_retry:
             self._end(Ending.REJECTED)
-        elif not repeated:
+        elif self._stage is Stage.REPORTING and not repeated:
             # Every try earns one answer; a duplicate of it must not push the next try further away.
             wait_s = self._patience.wait_s(self._patience.postpone_s, tries_count=self._report_tries_count)
             self._wake_at_s = now_s + wait_s
@@ -398,7 +411,9 @@ class Exchange:
         self._wake_at_s = inf
 
     def _give_up(self) -> tuple[bytes, ...]:
-        return self._end(Ending.POSTPONED if isinstance(self._outcome, Rejected) else Ending.UNANSWERED)
+        if not isinstance(self._outcome, Rejected):
+            return self._end(Ending.UNANSWERED)
+        return self._end(Ending.POSTPONED if self._outcome.reason.may_retry else Ending.REJECTED)
 
     def _end(self, ending: Ending) -> tuple[bytes, ...]:
         self._stage = Stage.ENDED

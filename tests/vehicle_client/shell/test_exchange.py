@@ -215,6 +215,45 @@ def test_a_duplicate_of_a_busy_receipt_does_not_push_the_next_try_away():
     assert exchange.wake_at_s == pytest.approx(2.1)
 
 
+def test_a_unit_that_does_not_know_the_section_ends_the_exchange_before_the_drive():
+    exchange = an_exchange(ether := Ether())
+    exchange.begin(now_s=0.0)
+    (frame,) = ether.put(Receipt(PASSAGE_ID, Rejected(Reason.UNKNOWN_SECTION)))
+    exchange.receive(frame, now_s=0.1)
+    assert exchange.record().ending is Ending.REJECTED
+
+
+def test_a_refusal_of_an_unread_message_ends_nothing_since_any_listener_could_forge_it():
+    exchange = an_exchange(ether := Ether(), known=BEND)
+    exchange.report(SUMMARY, map_version=BEND.version, left_at_s=0.0, now_s=0.0)
+    (unread,) = ether.put(Receipt(PASSAGE_ID[:8] + bytes(8), Rejected(Reason.UNSIGNED)))
+    exchange.receive(unread, now_s=0.1)
+    assert exchange.stage is Stage.REPORTING
+    (good,) = ether.put(Receipt(PASSAGE_ID, Accepted()))
+    exchange.receive(good, now_s=0.2)
+    assert exchange.record().ending is Ending.ACCEPTED
+
+
+def test_when_every_try_is_refused_unread_the_reason_is_told():
+    exchange = an_exchange(ether := Ether(), known=BEND)
+    exchange.report(SUMMARY, map_version=BEND.version, left_at_s=0.0, now_s=0.0)
+    while exchange.stage is Stage.REPORTING:
+        (unread,) = ether.put(Receipt(PASSAGE_ID[:8] + bytes(8), Rejected(Reason.UNSIGNED)))
+        exchange.receive(unread, now_s=exchange.wake_at_s)
+        exchange.tick(now_s=exchange.wake_at_s)
+    record = exchange.record()
+    assert (record.ending, record.outcome) == (Ending.REJECTED, Rejected(Reason.UNSIGNED))
+    assert record.report_tries_count == 5
+
+
+def test_a_forged_acceptance_of_an_unread_message_is_ignored():
+    exchange = an_exchange(ether := Ether(), known=BEND)
+    exchange.report(SUMMARY, map_version=BEND.version, left_at_s=0.0, now_s=0.0)
+    (forged,) = ether.put(Receipt(PASSAGE_ID[:8] + bytes(8), Accepted()))
+    exchange.receive(forged, now_s=0.1)
+    assert exchange.stage is Stage.REPORTING
+
+
 def test_an_exchange_begins_once_and_reports_once():
     exchange = an_exchange(Ether(), known=BEND)
     exchange.begin(now_s=0.0)
