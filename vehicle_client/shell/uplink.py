@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 QUEUE_LIMIT_COUNT = 64
 """Frames waiting to be read by one vehicle; an exchange has at most eight, more is somebody's flood."""
 
-FRAMES_MEDIA_TYPE = "application/octet-stream"
+FRAMES_MEDIA_TYPE = "application/vnd.roadgrip.frames"
 
 
 class Uplink(Protocol):
