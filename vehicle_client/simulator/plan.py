@@ -69,6 +69,10 @@ class Driver(NamedTuple):
     slide_feeling_ratio: float = 0.9
 
 
+UNIMPRESSED = Driver()
+"""The middle of the ranges, judging the surface by what he feels alone."""
+
+
 @dataclass(frozen=True, slots=True)
 class FrictionProfile:
     """Friction along the section for a new tyre, one value per wheel track; straight lines between, constant outside.
@@ -108,7 +112,7 @@ class PassagePlan:
     seed: int
     wear_factor: float = 1.0
     target_speed_mps: float | None = None
-    driver: Driver = Driver()
+    driver: Driver = UNIMPRESSED
     friction_profile: FrictionProfile | None = None
     sensor_grade: SensorGrade = SensorGrade.AUTOMOTIVE
     with_gnss: bool = False

@@ -1,0 +1,164 @@
+"""TMeasy: tyre force of combined slip in steady state, and how it builds up over the first decimetres.
+
+What mu means: the steady curves of each axis are scaled so that at the nominal load the peak force is mu times the
+load, longitudinally and laterally alike. (The published set has its peaks at 1.12 and 1.008 times the load for a
+surface of 0.8.) Friction scales peak and sliding forces and the slips at which they occur, but not the slope at zero
+slip: pure slip is self-similar, F(s; mu) = k F(s/k; 1) with k = mu. At other loads the peak is mu times load times the
+curve's own degression, so a car corners with slightly less than mu g.
+
+References:
+    Rill, Road Vehicle Dynamics, CRC Press, chapter 3 (TMeasy); Rill, First order tire dynamics, III European Conference
+    on Computational Mechanics, 2006. Parameters: the passenger-car estimate of Project Chrono, `ChTMeasyTire`.
+"""
+
+# ruff: noqa: PLR0917 - the compiler knows no keyword-only arguments
+
+from __future__ import annotations
+
+import math
+
+from vehicle_client.simulator.compilation import kernel
+from vehicle_client.simulator.vehicle import Tyre
+
+SPEED_FLOOR_MPS = 0.01
+"""Added to the rolling speed in every slip, so that a wheel at rest has one."""
+LOAD_LIMIT_RATIO = 3.5
+"""Over the nominal load; beyond it the parabolas of the load would turn down."""
+_NO_SLIP = 1e-12
+
+
+@kernel
+def slip_slope(
+    slip_x_ratio: float, slip_y_ratio: float, load_n: float, friction_mu: float, tyre: Tyre
+) -> tuple[float, float, float, float]:
+    """Return the secant slope force over normalised slip, both normalisations, and slip over the slip of the peak.
+
+    Forces follow as slope * slip / normalisation per axis. Zero load gives zero slope.
+
+    Args:
+        slip_x_ratio: Longitudinal, driving positive.
+        slip_y_ratio: Lateral, positive where the force points left.
+        load_n: Not negative.
+        friction_mu: Peak force over load at the nominal load. Positive.
+        tyre: The tyre.
+
+    Returns:
+        Slope in N, normalisation of x, normalisation of y, slip over peak slip.
+    """
+    u = min(load_n / tyre.nominal_load_n, LOAD_LIMIT_RATIO)
+    load = u * tyre.nominal_load_n
+    kx = friction_mu / tyre.peak_x1_ratio
+    ky = friction_mu / tyre.peak_y1_ratio
+    w = u - 1.0
+
+    dfx = load * (tyre.slope_x1_ratio + (tyre.slope_x2_ratio - tyre.slope_x1_ratio) * w)
+    dfy = load * (tyre.slope_y1_ratio + (tyre.slope_y2_ratio - tyre.slope_y1_ratio) * w)
+    fmx = kx * load * (tyre.peak_x1_ratio + (tyre.peak_x2_ratio - tyre.peak_x1_ratio) * w)
+    fmy = ky * load * (tyre.peak_y1_ratio + (tyre.peak_y2_ratio - tyre.peak_y1_ratio) * w)
+    smx = kx * (tyre.peak_slip_x1_ratio + (tyre.peak_slip_x2_ratio - tyre.peak_slip_x1_ratio) * w)
+    smy = ky * (tyre.peak_slip_y1_ratio + (tyre.peak_slip_y2_ratio - tyre.peak_slip_y1_ratio) * w)
+    if load <= 0.0:
+        return 0.0, 1.0, 1.0, 0.0
+
+    # Both axes are brought to slips of comparable effect.
+    qx, qy = fmx / dfx, fmy / dfy
+    hx = smx / (smx + smy) + qx / (qx + qy)
+    hy = smy / (smx + smy) + qy / (qx + qy)
+    sx, sy = slip_x_ratio / hx, slip_y_ratio / hy
+    s = math.sqrt(sx * sx + sy * sy)
+    if s > _NO_SLIP:
+        c2 = (sx / s) ** 2
+        s2 = (sy / s) ** 2
+    else:
+        c2 = s2 = 0.5
+
+    df = math.sqrt((dfx * hx) ** 2 * c2 + (dfy * hy) ** 2 * s2)
+    fm = math.sqrt(fmx * fmx * c2 + fmy * fmy * s2)
+    sm = math.sqrt((smx / hx) ** 2 * c2 + (smy / hy) ** 2 * s2)
+    z = s / sm
+    if z < 1.0:
+        return df / (1.0 + (z + df * sm / fm - 2.0) * z), hx, hy, z
+
+    fsx = kx * load * (tyre.slide_x1_ratio + (tyre.slide_x2_ratio - tyre.slide_x1_ratio) * w)
+    fsy = ky * load * (tyre.slide_y1_ratio + (tyre.slide_y2_ratio - tyre.slide_y1_ratio) * w)
+    ssx = kx * (tyre.slide_slip_x1_ratio + (tyre.slide_slip_x2_ratio - tyre.slide_slip_x1_ratio) * w)
+    ssy = ky * (tyre.slide_slip_y1_ratio + (tyre.slide_slip_y2_ratio - tyre.slide_slip_y1_ratio) * w)
+    fs = math.sqrt(fsx * fsx * c2 + fsy * fsy * s2)
+    ss = math.sqrt((ssx / hx) ** 2 * c2 + (ssy / hy) ** 2 * s2)
+    return _beyond_peak(s, df, fm, sm, fs, ss) / s, hx, hy, z
+
+
+@kernel
+def _beyond_peak(s: float, df: float, fm: float, sm: float, fs: float, ss: float) -> float:
+    if s >= ss:
+        return fs
+    # The first parabola has the curvature that the rising branch ends with; the second meets the sliding force.
+    a = (fm / sm) ** 2 / (df * sm)
+    join = sm + (fm - fs) / (a * (ss - sm))
+    if join >= ss:
+        t = (s - sm) / (ss - sm)
+        return fm - (fm - fs) * t * t * (3.0 - 2.0 * t)
+    if s <= join:
+        return fm - a * (s - sm) ** 2
+    b = a * (join - sm) / (ss - join)
+    return fs + b * (ss - s) ** 2
+
+
+@kernel
+def steady_force_n(
+    slip_x_ratio: float, slip_y_ratio: float, load_n: float, friction_mu: float, tyre: Tyre
+) -> tuple[float, float]:
+    """Return the longitudinal and lateral force of a tyre that has rolled far enough at a constant slip.
+
+    Args:
+        slip_x_ratio: Longitudinal, driving positive.
+        slip_y_ratio: Lateral, positive where the force points left.
+        load_n: Not negative.
+        friction_mu: Peak force over load at the nominal load. Positive.
+        tyre: The tyre.
+    """
+    slope, hx, hy, _ = slip_slope(slip_x_ratio, slip_y_ratio, load_n, friction_mu, tyre)
+    return slope * slip_x_ratio / hx, slope * slip_y_ratio / hy
+
+
+@kernel
+def built_up_force_n(
+    bristle_m: float,
+    sliding_mps: float,
+    rolling_mps: float,
+    slope_n: float,
+    normalisation_ratio: float,
+    stiffness_npm: float,
+    damping_nspm: float,
+    step_s: float,
+) -> tuple[float, float, float]:
+    """Return the carcass deflection after a step, the force then, and how much the force falls per sliding speed.
+
+    The deflection is integrated implicitly, stable at any speed and step. The force is
+    `force_at_rest - loss * sliding_mps` with everything that does not depend on the sliding speed in the former, so
+    that the wheel spin can be solved together with it.
+
+    Args:
+        bristle_m: Deflection before the step.
+        sliding_mps: Speed of the contact patch over the ground, in the direction of the axis.
+        rolling_mps: Rotation times radius, not negative, floor included.
+        slope_n: From `slip_slope`.
+        normalisation_ratio: From `slip_slope`, of this axis.
+        stiffness_npm: Of the carcass, this axis.
+        damping_nspm: Of the carcass, this axis.
+        step_s: Time step.
+
+    Returns:
+        New deflection in m, force in N, loss in N per m/s.
+
+    References:
+        Rill 2006: xe' = -(vt h c xe + f vs) / (vt h d + f), F = c xe + d xe'.
+    """
+    vt_h = rolling_mps * normalisation_ratio
+    inertia = vt_h * damping_nspm + slope_n
+    total = inertia + step_s * vt_h * stiffness_npm
+    share = 1.0 / total
+    moved = (bristle_m * inertia - step_s * slope_n * sliding_mps) * share
+    force = stiffness_npm * moved + damping_nspm * (moved - bristle_m) / step_s
+    loss = (stiffness_npm * step_s + damping_nspm) * slope_n * share
+    return moved, force, loss
