@@ -23,9 +23,9 @@ def content_digest(passage: Passage) -> bytes:
     """Return the digest of everything the sender says but the age, which grows from attempt to attempt. 16 bytes."""
     summary = passage.summary
     parts = [
-        passage.section_id.encode(),
-        passage.map_version.encode(),
-        summary.table_digest.encode(),
+        # A text decoded from JSON may hold half a surrogate pair, which has no UTF-8.
+        *(text.encode(errors="surrogatepass") for text in (passage.section_id, passage.map_version)),
+        summary.table_digest.encode(errors="surrogatepass"),
         np.float64(summary.duration_s).astype("<f8").tobytes(),
         str(int(summary.quality)).encode(),
         values_digest(passage),

@@ -1,0 +1,102 @@
+"""Connections to the database file: one kind that writes, one kind that can only read."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Callable
+from pathlib import Path
+from urllib.parse import quote
+
+from sqlalchemy import Connection, Engine, create_engine, event
+from sqlalchemy.exc import DBAPIError
+from sqlalchemy.pool import NullPool, Pool, QueuePool
+
+from roadgrip.errors import StoreError, StoreFullError
+
+BUSY_TIMEOUT_MS = 5_000
+LOG_LIMIT_BYTES = 16 * 1024 * 1024
+
+
+def apply_writer_pragmas(connection: sqlite3.Connection) -> None:
+    """Set up a connection that writes; the reason stands beside each pragma."""
+    for pragma in (
+        # Must come before the first page is written: lets pruned pages go back to the file system in small portions.
+        "auto_vacuum = INCREMENTAL",
+        # Readers never wait for the writer, and a commit is one append to one file.
+        "journal_mode = WAL",
+        # A commit returns after its fsync. With NORMAL a power cut may take acknowledged passages with it.
+        "synchronous = FULL",
+        # Off by default for the sake of databases from 2009.
+        "foreign_keys = ON",
+        # `db upgrade` by hand, or a backup, may hold the lock for a moment.
+        f"busy_timeout = {BUSY_TIMEOUT_MS}",
+        # After a burst the log file shrinks back instead of keeping its largest size for ever.
+        f"journal_size_limit = {LOG_LIMIT_BYTES}",
+        # A database that somebody else wrote must not run functions in its schema.
+        "trusted_schema = OFF",
+    ):
+        connection.execute(f"PRAGMA {pragma}")
+
+
+def apply_reader_pragmas(connection: sqlite3.Connection) -> None:
+    """Set up a connection that reads; the reason stands beside each pragma."""
+    for pragma in (
+        # The file is opened read-only already; this also refuses temporary tables and the like.
+        "query_only = ON",
+        # Only a checkpoint that starts over can make a reader wait.
+        f"busy_timeout = {BUSY_TIMEOUT_MS}",
+        "trusted_schema = OFF",
+    ):
+        connection.execute(f"PRAGMA {pragma}")
+
+
+def writing_engine(database_path: Path) -> Engine:
+    """Return an engine whose transactions take the write lock when they begin. The file is made if missing.
+
+    A transaction that begins as a reader and writes later can fail half way with "database is locked" whatever the
+    timeout; hence BEGIN IMMEDIATE.
+    """
+    engine = _engine(database_path, mode="rwc", prepare=apply_writer_pragmas, poolclass=QueuePool)
+
+    @event.listens_for(engine, "begin")
+    def begin_immediate(connection: Connection) -> None:
+        connection.exec_driver_sql("BEGIN IMMEDIATE")
+
+    return engine
+
+
+def reading_engine(database_path: Path) -> Engine:
+    """Return an engine that cannot change the file. It sees every commit that was acknowledged before."""
+    engine = _engine(database_path, mode="ro", prepare=apply_reader_pragmas, poolclass=NullPool)
+
+    @event.listens_for(engine, "begin")
+    def begin_deferred(connection: Connection) -> None:
+        connection.exec_driver_sql("BEGIN")
+
+    return engine
+
+
+def store_error(error: DBAPIError | sqlite3.Error | OSError, *, doing: str) -> StoreError:
+    """Return what went wrong in the words of the error tree."""
+    origin = error.orig if isinstance(error, DBAPIError) else error
+    if getattr(origin, "sqlite_errorcode", None) == sqlite3.SQLITE_FULL:
+        return StoreFullError(f"{doing}: the disk is full")
+    return StoreError(f"{doing}: {origin}")
+
+
+def _engine(
+    database_path: Path, *, mode: str, prepare: Callable[[sqlite3.Connection], None], poolclass: type[Pool]
+) -> Engine:
+    address = f"file:{quote(str(database_path.absolute()))}?mode={mode}"
+
+    def connect() -> sqlite3.Connection:
+        # isolation_level None: the module begins no transactions of its own, the events above do.
+        connection = sqlite3.connect(address, uri=True, isolation_level=None, check_same_thread=False)
+        try:
+            prepare(connection)
+        except sqlite3.Error:
+            connection.close()
+            raise
+        return connection
+
+    return create_engine("sqlite://", creator=connect, poolclass=poolclass)

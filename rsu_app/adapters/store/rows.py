@@ -1,0 +1,148 @@
+"""Records to rows and back; every statement the store runs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from sqlalchemy import Connection, delete, func, insert, or_, select
+from sqlalchemy.dialects.sqlite import insert as sqlite_insert
+
+from roadgrip.records import NotCounted
+from rsu_app.adapters.store.schema import EVENTS, PASSAGES, PROBES
+from rsu_app.domain.plausibility import summary_values
+from rsu_app.ports import Event, PassageEntry, StoredEstimate
+
+EVENTS_LIMIT_COUNT = 10_000
+"""Events that are kept; the oldest go."""
+
+_P = PASSAGES.c
+_ESTIMATE_COLUMNS = (
+    _P.passage_id,
+    _P.section_id,
+    _P.content_digest,
+    _P.values_digest,
+    _P.mu,
+    _P.flags,
+    _P.left_unix_s,
+    _P.bundle_id,
+)
+
+
+def insert_entries(connection: Connection, entries: Sequence[PassageEntry]) -> list[StoredEstimate | None]:
+    """Store what is new; return per entry None, or what is held already under its id or with its values.
+
+    An entry also meets those before it in the same group. There is one writer, so nothing can come between the
+    question and the insert.
+    """
+    held = connection.execute(
+        select(*_ESTIMATE_COLUMNS).where(
+            or_(
+                _P.passage_id.in_([e.estimate.passage_id for e in entries]),
+                _P.values_digest.in_([e.estimate.values_digest for e in entries]),
+            )
+        )
+    )
+    by_id: dict[bytes, StoredEstimate] = {}
+    by_values: dict[bytes, StoredEstimate] = {}
+
+    def hold(estimate: StoredEstimate) -> None:
+        by_id[estimate.passage_id] = estimate
+        by_values[estimate.values_digest] = estimate
+
+    for row in held:
+        hold(_estimate(row))
+    results: list[StoredEstimate | None] = []
+    fresh: list[dict[str, Any]] = []
+    for entry in entries:
+        known = by_id.get(entry.estimate.passage_id) or by_values.get(entry.estimate.values_digest)
+        if known is None:
+            hold(entry.estimate)
+            fresh.append(_passage_row(entry))
+        results.append(known)
+    if fresh:
+        connection.execute(insert(PASSAGES), fresh)
+    return results
+
+
+def estimates_since(connection: Connection, *, since_unix_s: float, limit_count: int) -> list[StoredEstimate]:
+    """Return what was received at or after a moment, oldest first; the newest `limit_count` of it."""
+    newest_first = connection.execute(
+        select(*_ESTIMATE_COLUMNS)
+        .where(_P.received_unix_s >= since_unix_s)
+        .order_by(_P.received_unix_s.desc(), _P.sequence_number.desc())
+        .limit(limit_count)
+    )
+    return [_estimate(row) for row in newest_first][::-1]
+
+
+def insert_event(connection: Connection, event: Event) -> None:
+    """Store an event and drop those beyond the limit."""
+    row = {"at_unix_s": event.at_unix_s, "kind": event.kind, "subject": event.subject, "detail": event.detail}
+    connection.execute(insert(EVENTS).values(row))
+    newest = select(func.max(EVENTS.c.sequence_number)).scalar_subquery()
+    connection.execute(delete(EVENTS).where(EVENTS.c.sequence_number <= newest - EVENTS_LIMIT_COUNT))
+
+
+def newest_events(connection: Connection, *, limit_count: int) -> list[Event]:
+    """Return events, newest first."""
+    columns = (EVENTS.c.at_unix_s, EVENTS.c.kind, EVENTS.c.subject, EVENTS.c.detail)
+    rows = connection.execute(select(*columns).order_by(EVENTS.c.sequence_number.desc()).limit(limit_count))
+    return [Event(*row) for row in rows]
+
+
+def passages_count(connection: Connection) -> int:
+    """Return how many passages are stored."""
+    return int(connection.execute(select(func.count()).select_from(PASSAGES)).scalar_one())
+
+
+def write_probe(connection: Connection, *, unix_s: float) -> None:
+    """Overwrite the one row that exists for being overwritten."""
+    row = {"probe_id": 1, "written_unix_s": unix_s}
+    connection.execute(sqlite_insert(PROBES).values(row).on_conflict_do_update(set_=row))
+
+
+def delete_received_before(connection: Connection, *, before_unix_s: float, batch_count: int) -> int:
+    """Delete passages received before a moment, at most a batch of them; return how many went."""
+    old = select(_P.sequence_number).where(_P.received_unix_s < before_unix_s).limit(batch_count)
+    return connection.execute(delete(PASSAGES).where(_P.sequence_number.in_(old))).rowcount
+
+
+def delete_first(connection: Connection, *, batch_count: int) -> int:
+    """Delete the passages that arrived first; return how many went."""
+    first = select(_P.sequence_number).order_by(_P.sequence_number).limit(batch_count)
+    return connection.execute(delete(PASSAGES).where(_P.sequence_number.in_(first))).rowcount
+
+
+def _estimate(row: Any) -> StoredEstimate:
+    return StoredEstimate(
+        passage_id=row.passage_id,
+        section_id=row.section_id,
+        content_digest=row.content_digest,
+        values_digest=row.values_digest,
+        mu=row.mu,
+        flags=NotCounted(row.flags),
+        left_unix_s=row.left_unix_s,
+        bundle_id=row.bundle_id,
+    )
+
+
+def _passage_row(entry: PassageEntry) -> dict[str, Any]:
+    passage, estimate = entry.passage, entry.estimate
+    return {
+        "passage_id": passage.passage_id,
+        "section_id": passage.section_id,
+        "map_version": passage.map_version,
+        "table_digest": passage.summary.table_digest,
+        "features": summary_values(passage.summary).astype("<f4").tobytes(),
+        "duration_s": passage.summary.duration_s,
+        "age_s": passage.age_s,
+        "quality": int(passage.summary.quality),
+        "received_unix_s": entry.received_unix_s,
+        "left_unix_s": estimate.left_unix_s,
+        "bundle_id": estimate.bundle_id,
+        "mu": estimate.mu,
+        "flags": int(estimate.flags),
+        "content_digest": estimate.content_digest,
+        "values_digest": estimate.values_digest,
+    }

@@ -1,0 +1,187 @@
+"""Fakes of the ports, real code without a disk or a clock, and the records that tests start from."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from roadgrip.bundle import BundleManifest
+from roadgrip.errors import StoreError
+from roadgrip.features import TABLE_DIGEST, statistics_of
+from roadgrip.records import KinematicSummary, Passage, QualityFlag
+from roadgrip.section import BankOrigin, RoadSection, build_section
+from roadgrip.units import FloatArray, kph_to_mps
+from rsu_app.ports import Event, PassageEntry, StoreCounts, StoredEstimate
+from tests.bundles import BIAS_MU, linear_mu, make_manifest
+
+NOON_UNIX_S = 1_767_268_800.0
+"""2026-01-01 12:00 UTC."""
+
+
+class FakeClock:
+    """Two clocks that stand still until told otherwise."""
+
+    def __init__(self, *, monotonic_s: float = 1000.0, unix_s: float = NOON_UNIX_S) -> None:
+        self.now_monotonic_s = monotonic_s
+        self.now_unix_s = unix_s
+
+    def monotonic_s(self) -> float:
+        return self.now_monotonic_s
+
+    def unix_s(self) -> float:
+        return self.now_unix_s
+
+    def advance(self, seconds: float) -> None:
+        self.now_monotonic_s += seconds
+        self.now_unix_s += seconds
+
+
+class FakeModel:
+    """Answers 0.5 plus the mean sideslip, or whatever it is told to answer."""
+
+    def __init__(self, manifest: BundleManifest | None = None) -> None:
+        self._manifest = manifest or make_manifest()
+        self.error: Exception | None = None
+        self.answer_mu: float | None = None
+
+    @property
+    def manifest(self) -> BundleManifest:
+        return self._manifest
+
+    def estimate_mu(self, rows: FloatArray) -> FloatArray:
+        if self.error is not None:
+            raise self.error
+        if self.answer_mu is not None:
+            return np.full(len(rows), self.answer_mu)
+        return linear_mu(rows)
+
+
+class FakeStore:
+    """Keeps passages in memory; survives a restart if handed to the next unit.
+
+    `error` makes every write fail; `gate`, when set to an event, makes writes wait for it.
+    """
+
+    def __init__(self) -> None:
+        self.entries: list[PassageEntry] = []
+        self.ledger: list[Event] = []
+        self.error: StoreError | None = None
+        self.gate: asyncio.Event | None = None
+        self.closed = False
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        return ()
+
+    async def append(self, entry: PassageEntry) -> StoredEstimate | None:
+        await self._write()
+        same_id = [e.estimate for e in self.entries if e.estimate.passage_id == entry.estimate.passage_id]
+        same_values = [e.estimate for e in self.entries if e.estimate.values_digest == entry.estimate.values_digest]
+        if same_id or same_values:
+            return (same_id or same_values)[0]
+        self.entries.append(entry)
+        return None
+
+    async def load(self, *, since_unix_s: float, limit_count: int) -> Sequence[StoredEstimate]:
+        return [e.estimate for e in self.entries if e.received_unix_s >= since_unix_s][-limit_count:]
+
+    async def record_event(self, event: Event) -> None:
+        await self._write()
+        self.ledger.append(event)
+
+    async def events(self, *, limit_count: int) -> Sequence[Event]:
+        return self.ledger[::-1][:limit_count]
+
+    async def counts(self) -> StoreCounts:
+        return StoreCounts(len(self.entries), 0, queued_count=0, queue_limit_count=1)
+
+    async def probe(self) -> None:
+        await self._write()
+
+    async def prune(self, *, before_unix_s: float | None, rows_limit_count: int) -> int:
+        kept = [e for e in self.entries if before_unix_s is None or e.received_unix_s >= before_unix_s]
+        kept = kept[-rows_limit_count:]
+        gone = len(self.entries) - len(kept)
+        self.entries = kept
+        return gone
+
+    async def close(self) -> None:
+        self.closed = True
+
+    async def _write(self) -> None:
+        await asyncio.sleep(0)
+        if self.gate is not None:
+            await self.gate.wait()
+        if self.error is not None:
+            raise self.error
+
+
+def make_section(
+    section_id: str = "bend",
+    *,
+    radius_m: float = 100.0,
+    length_m: float = 200.0,
+    speed_limit_mps: float = kph_to_mps(80.0),
+    inward_bank_ratio: float = 0.0,
+    bank_origin: BankOrigin = BankOrigin.NONE,
+) -> RoadSection:
+    """A steady left turn (right turn for a negative radius) in the plane."""
+    count = round(length_m / 5.0) + 1
+    angle_rad = np.linspace(0.0, length_m / abs(radius_m), count)
+    nodes_m = np.column_stack(
+        [abs(radius_m) * np.sin(angle_rad), radius_m * (1.0 - np.cos(angle_rad)), np.zeros(count)]
+    )
+    return build_section(
+        section_id=section_id,
+        name=section_id.title(),
+        nodes_m=nodes_m,
+        speed_limit_mps=speed_limit_mps,
+        # Positive is a rise towards the left edge, which leans outwards in a left turn.
+        cross_slope_ratio=np.full(count, -np.sign(radius_m) * inward_bank_ratio),
+        bank_origin=bank_origin,
+    )
+
+
+def make_passage(
+    section: RoadSection,
+    *,
+    seed: int = 0,
+    mu: float = 0.5,
+    age_s: float = 0.0,
+    passage_id: bytes | None = None,
+    **changes: Any,
+) -> Passage:
+    """A passage that can have happened and from which the linear model reads `mu`; different for every seed."""
+    rng = np.random.default_rng(seed)
+    duration_s = section.length_m / 15.0
+    count = round(duration_s * 100.0)
+    sideslip = rng.normal(0.0, 0.01, count)
+    signals = (
+        rng.normal(0.02, 0.01, count),
+        sideslip - sideslip.mean() + (mu - BIAS_MU),
+        rng.normal(0.0, 0.1, count),
+        rng.normal(0.0, 0.05, count),
+        rng.normal(15.0, 0.5, count),
+    )
+    values = np.concatenate([statistics_of(signal) for signal in signals]).astype(np.float32)
+    summary = {
+        "values": tuple(float(v) for v in values),
+        "table_digest": TABLE_DIGEST,
+        "duration_s": section.length_m / float(values[44]),
+        "quality": QualityFlag.NONE,
+    } | {key: changes.pop(key) for key in ("values", "table_digest", "duration_s", "quality") if key in changes}
+    return Passage(
+        **(
+            {
+                "passage_id": rng.bytes(16) if passage_id is None else passage_id,
+                "section_id": section.section_id,
+                "map_version": section.version,
+                "summary": KinematicSummary(**summary),  # type: ignore[arg-type] # a test may put anything there
+                "age_s": age_s,
+            }
+            | changes
+        )
+    )
