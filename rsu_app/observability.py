@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 import structlog
-from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, generate_latest
+from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, disable_created_metrics, generate_latest
 from prometheus_client.process_collector import ProcessCollector
 
 if TYPE_CHECKING:
@@ -27,6 +27,9 @@ OTHER_SECTION = "other"
 
 _LATENCY_BUCKETS_S = (0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0)
 _INFERENCE_BUCKETS_S = (1e-5, 2.5e-5, 5e-5, 1e-4, 2.5e-4, 5e-4, 1e-3, 2.5e-3, 5e-3, 1e-2, 0.1)
+
+
+disable_created_metrics()  # a series per series that says when it began doubles the answer and nobody reads it
 
 
 class Metrics:
@@ -61,6 +64,8 @@ class Metrics:
         )
         self.in_flight = self._gauge("roadgrip_ingest_in_flight", "Passages in work.")
         self.store_queue = self._gauge("roadgrip_store_queue_depth", "Passages that wait for a commit.")
+        self.store_passages = self._gauge("roadgrip_store_passages", "Passages in the database.")
+        self.store_size = self._gauge("roadgrip_store_bytes", "Size of the database with its write-ahead log.")
         self.frames_received = self._counter("roadgrip_frames_received_total", "Frames that came in.", "via")
         self.frames_sent = self._counter("roadgrip_frames_sent_total", "Frames sent.", "via", "message")
         self.frames_dropped = self._counter(
@@ -74,8 +79,13 @@ class Metrics:
             "roadgrip_messages_received_total", "Whole messages that came in.", "via", "message"
         )
         self.assemblies = self._gauge("roadgrip_assemblies", "Incomplete messages kept.")
-        self.assemblies_evicted = self._counter(
-            "roadgrip_assemblies_evicted_total", "Incomplete messages forgotten, for age or for room."
+        self.assemblies_given_up = self._gauge(
+            "roadgrip_assemblies_given_up", "Incomplete messages forgotten since the start, for age or for room."
+        )
+        self.exchanges = self._gauge("roadgrip_exchanges", "Passages whose frame budget is remembered.")
+        self.exchanges_evicted = self._gauge(
+            "roadgrip_exchanges_evicted",
+            "Passages whose frame budget was forgotten early since the start, for newer ones.",
         )
         self.refusals_withheld = self._counter(
             "roadgrip_refusals_withheld_total", "Rejections not sent because of `frames.refusals_per_s`."

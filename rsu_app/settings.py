@@ -19,7 +19,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict
 
 from roadgrip.errors import ConfigurationError
-from roadgrip.units import WINDOW_S
+from roadgrip.units import WINDOW_S, kph_to_mps
 
 ENV_PREFIX = "ROADGRIP_"
 ENV_DELIMITER = "__"
@@ -56,6 +56,9 @@ class DatabaseSettings(_Group):
         ge=WINDOW_S,
         description="Stored passages older than this are deleted, never those of the window.",
     )
+    rows_limit_count: int = Field(
+        default=1_000_000, ge=1_000, description="Passages that may be stored; the oldest make room."
+    )
     prune_period_s: float = Field(default=600.0, ge=1.0, description="How often old passages are looked for.")
 
 
@@ -82,15 +85,48 @@ class ModelSettings(_Group):
     )
 
 
+class WindowSettings(_Group):
+    """How many vehicles make an interval, and how long it holds."""
+
+    length_s: float = Field(default=WINDOW_S, ge=60.0, le=86_400.0, description="How long a passage counts.")
+    provisional_from_count: int = Field(
+        default=10, ge=1, description="Vehicles from which the interval is provisional; below it is insufficient."
+    )
+    recommended_from_count: int = Field(default=50, ge=1, description="Vehicles from which it is recommended.")
+    stale_after_s: float = Field(
+        default=1_800.0, gt=0.0, description="Age of the newest passage from which the window says nothing about now."
+    )
+    valid_at_most_s: float = Field(
+        default=300.0, gt=0.0, description="Longest time a published interval may be used after it was read."
+    )
+
+    @model_validator(mode="after")
+    def _in_order(self) -> WindowSettings:
+        if self.recommended_from_count < self.provisional_from_count:
+            message = "recommended_from_count must not be below provisional_from_count"
+            raise ValueError(message)
+        return self
+
+
 class AdvisorySettings(_Group):
     """How careful the advice is."""
 
     winter_speed_mps: float = Field(
-        default=13.89,
-        ge=1.0,
+        default=kph_to_mps(60.0),
+        ge=kph_to_mps(5.0),
         le=60.0,
-        description="What is advised while too few vehicles passed or the unit cannot know better.",
+        description="What is advised while too few vehicles passed or the unit cannot know better (default 60 km/h).",
     )
+    utilisation_frac: float = Field(
+        default=0.6, gt=0.0, le=1.0, description="Share of the friction that the curve may use up."
+    )
+    rise_margin_mps: float = Field(
+        default=kph_to_mps(2.0),
+        ge=0.0,
+        le=10.0,
+        description="By how much the curve speed must exceed the next step of 5 km/h before the advice rises to it.",
+    )
+    valid_for_s: float = Field(default=300.0, gt=0.0, description="How long an advice may be shown at most.")
 
 
 class HttpSettings(_Group):
@@ -106,8 +142,11 @@ class HttpSettings(_Group):
         le=16_777_216,
         description="Largest request body; larger ones get 413 without being read.",
     )
+    connections_limit_count: int = Field(
+        default=512, ge=8, le=100_000, description="Connections at one time; more get 503."
+    )
     stream_clients_limit_count: int = Field(
-        default=64, ge=0, le=10_000, description="Clients of the event stream at one time; more get 503."
+        default=64, ge=1, le=10_000, description="Clients of the event stream at one time; more get 503."
     )
     stream_heartbeat_s: float = Field(
         default=15.0,
@@ -146,15 +185,6 @@ class UdpSettings(_Group):
 class FrameSettings(_Group):
     """Budgets of the exchange of frames; each bounds memory or work that a sender could cause."""
 
-    assembly_timeout_s: float = Field(
-        default=30.0, gt=0.0, le=600.0, description="A message whose frames have not all come by then is forgotten."
-    )
-    assembly_limit_count: int = Field(
-        default=1_024, ge=1, le=100_000, description="Incomplete messages kept at one time, over all senders."
-    )
-    assembly_limit_bytes: int = Field(
-        default=8_388_608, ge=65_536, description="Memory for incomplete messages, over all senders."
-    )
     exchange_limit_count: int = Field(
         default=4_096, ge=16, le=1_000_000, description="Passages whose frame budget is remembered at one time."
     )
@@ -186,9 +216,6 @@ class SigningSettings(_Group):
     key_file: Path | None = Field(
         default=None,
         description="Ed25519 private key (PEM) that signs what the unit sends; left out, nothing is signed.",
-    )
-    key_id: str = Field(
-        default="", max_length=32, description="Name of that key as receivers know it; empty: its file's stem."
     )
     trusted_keys_folder: Path | None = Field(
         default=None,
@@ -248,6 +275,7 @@ class Settings(BaseSettings):
     )
     database: DatabaseSettings = DatabaseSettings()
     model: ModelSettings = ModelSettings()
+    window: WindowSettings = WindowSettings()
     advisory: AdvisorySettings = AdvisorySettings()
     http: HttpSettings = HttpSettings()
     udp: UdpSettings = UdpSettings()
@@ -354,7 +382,9 @@ def _shown(default: object) -> str:
         return "none"
     if isinstance(default, bool):
         return f"`{str(default).lower()}`"
-    if isinstance(default, str | int | float | Path):
+    if isinstance(default, float):
+        return f"`{default:.6g}`"
+    if isinstance(default, str | int | Path):
         return f"`{default}`"
     return "must be given"
 

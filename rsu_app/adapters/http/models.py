@@ -180,8 +180,9 @@ class BroadcastModel(_Model):
 class ConditionModel(_Model):
     """One condition of readiness."""
 
-    name: str
+    name: str = Field(examples=["model"])
     ok: bool
+    required: bool = Field(description="Whether the unit is unready without it; the others are for information.")
     detail: str
 
 

@@ -1,0 +1,96 @@
+"""The web application, made by a function so that tests make as many as they like."""
+
+from __future__ import annotations
+
+from http import HTTPStatus
+
+import structlog
+from fastapi import FastAPI, Request, Response
+from fastapi.exceptions import RequestValidationError
+from starlette.exceptions import HTTPException
+
+from roadgrip.records import Reason
+from rsu_app.adapters.http import frames, operations, sections
+from rsu_app.adapters.http.guards import BodyGuard, RequestCounter
+from rsu_app.adapters.http.problems import ProblemError, problem_response, refusal
+from rsu_app.adapters.http.site import Site
+
+_log = structlog.get_logger("roadgrip")
+
+_DESCRIPTION = """
+What a road side unit says and hears over HTTP. Vehicles may send the very frames of the radio to `/v1/frames`;
+people and other machines read JSON. SI units in every name. Refusals are `application/problem+json` with a `reason`.
+"""
+_TAGS = [
+    {"name": "sections", "description": "Where the unit serves, and the maps."},
+    {"name": "advice", "description": "What drivers are told, and the friction behind it."},
+    {"name": "passages", "description": "What vehicles report."},
+    {"name": "detections", "description": "Vehicles seen by loops and cameras."},
+    {"name": "health", "description": "For operators."},
+]
+
+
+def create_app(site: Site) -> FastAPI:
+    """Return the application of one unit."""
+    app = FastAPI(
+        title="roadgrip road side unit",
+        version=site.version,
+        description=_DESCRIPTION,
+        openapi_tags=_TAGS,
+        license_info={"name": "Apache-2.0"},
+        redoc_url=None,
+    )
+    app.state.site = site
+    app.include_router(sections.router)
+    app.include_router(frames.router)
+    app.include_router(operations.router)
+    app.add_exception_handler(ProblemError, _on_problem)
+    app.add_exception_handler(RequestValidationError, _on_invalid)
+    app.add_exception_handler(HTTPException, _on_http)
+    app.add_exception_handler(Exception, _on_bug)
+    # The last one added is the first one asked: every request is counted, also those that the guard turns away.
+    app.add_middleware(BodyGuard, body_limit_bytes=site.body_limit_bytes)
+    app.add_middleware(
+        RequestCounter, on_request=lambda route, status: site.metrics.http_requests.labels(route, str(status)).inc()
+    )
+    return app
+
+
+async def _on_problem(_request: Request, error: Exception) -> Response:
+    assert isinstance(error, ProblemError)  # noqa: S101 - the framework calls this for that class only
+    return problem_response(error)
+
+
+async def _on_invalid(request: Request, error: Exception) -> Response:
+    """Return what is wrong with a request in words; as `not_finite` where a number is none."""
+    assert isinstance(error, RequestValidationError)  # noqa: S101 - same
+    problems = [f"{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors()]
+    problem = refusal(Reason.MALFORMED, "; ".join(problems[:5]))
+    site: Site = request.app.state.site
+    if "section_id" in request.path_params and request.url.path.endswith("/passages"):
+        label = site.metrics.section_label(request.path_params["section_id"])
+        site.metrics.passages.labels(label, "rejected", problem.reason, "json").inc()
+    return problem_response(problem)
+
+
+async def _on_http(_request: Request, error: Exception) -> Response:
+    assert isinstance(error, HTTPException)  # noqa: S101 - same
+    status = HTTPStatus(error.status_code)
+    response = problem_response(ProblemError(_SLUGS.get(status, "refused"), status, str(error.detail)))
+    response.headers.update(error.headers or {})
+    return response
+
+
+_SLUGS = {
+    HTTPStatus.NOT_FOUND: "not_found",
+    HTTPStatus.METHOD_NOT_ALLOWED: "method_not_allowed",
+    HTTPStatus.BAD_REQUEST: Reason.MALFORMED.value,
+}
+
+
+async def _on_bug(request: Request, error: Exception) -> Response:
+    """Return 500 without inner details; the log has them."""
+    _log.error("bug", path=request.url.path, error=repr(error))
+    return problem_response(
+        ProblemError("internal", HTTPStatus.INTERNAL_SERVER_ERROR, "the unit failed; the passage was not accepted")
+    )

@@ -1,0 +1,334 @@
+"""The composition root: settings in, a running unit out. The only module that knows all the others."""
+
+from __future__ import annotations
+
+import secrets
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from importlib.metadata import version as distribution_version
+from importlib.resources import files
+from math import nan
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import structlog
+
+from roadgrip.errors import BundleError, ConfigurationError, RoadgripError, SectionError, StoreError
+from roadgrip.exchange import ExchangeLedger
+from roadgrip.records import FrictionInterval, Rejected
+from roadgrip.section import RoadSection
+from roadgrip.section_file import section_from_json
+from roadgrip.signing import Signer, Verifier, signer_from_pem, verifier_from_pems
+from rsu_app.adapters.clocks import AcceleratedClock, SystemClock
+from rsu_app.domain.advisory import AdvisoryPolicy
+from rsu_app.domain.interval import IntervalPolicy
+from rsu_app.gateway import FrameGateway
+from rsu_app.intake import PassageIntake, TimedModel
+from rsu_app.observability import Metrics
+from rsu_app.ports import Clock, FrictionModel, PassageStore
+from rsu_app.settings import Settings, is_packaged_name
+from rsu_app.usecases import RoadSideUnit, UnitLimits
+
+if TYPE_CHECKING:
+    from rsu_app.adapters.http.site import Broadcast, Site
+    from rsu_app.adapters.http.stream import StreamDesk
+    from rsu_app.adapters.udp.endpoint import FrameEndpoint
+
+_log = structlog.get_logger("roadgrip")
+
+
+@dataclass(frozen=True, slots=True)
+class Parts:
+    """A unit and what serves it, put together but not started."""
+
+    settings: Settings
+    unit: RoadSideUnit
+    store: PassageStore
+    gateway: FrameGateway
+    intake: PassageIntake
+    streams: StreamDesk
+    metrics: Metrics
+    clock: Clock
+
+
+def build(settings: Settings, *, metrics: Metrics, sections: tuple[RoadSection, ...]) -> Parts:
+    """Return the parts of a unit; opens and migrates the database.
+
+    Args:
+        settings: What the operator chose.
+        metrics: Where everything is counted.
+        sections: The maps, as `load_sections` gave them.
+
+    Raises:
+        RoadgripError: Something that was chosen cannot be.
+    """
+    from rsu_app.adapters.http.stream import StreamDesk
+    from rsu_app.adapters.store import WriterLimits, open_store
+
+    clock = _clock(settings)
+    signer, verifier = load_keys(settings)
+    model = _model_or_none(settings)
+    policy = _advisory_policy(settings)
+    store = open_store(settings.database.path, limits=WriterLimits(queue_count=settings.database.queue_limit_count))
+    unit = RoadSideUnit(
+        sections=sections,
+        store=store,
+        model=None if model is None else TimedModel(model, metrics=metrics),
+        clock=clock,
+        policy=policy,
+        section_policies={
+            section.section_id: replace(policy, winter_speed_mps=chosen.winter_speed_mps)
+            for section, chosen in zip(sections, settings.sections, strict=True)
+            if chosen.winter_speed_mps is not None
+        },
+        interval_policy=IntervalPolicy(
+            provisional_from_count=settings.window.provisional_from_count,
+            recommended_from_count=settings.window.recommended_from_count,
+            stale_after_s=settings.window.stale_after_s,
+            valid_at_most_s=settings.window.valid_at_most_s,
+        ),
+        limits=UnitLimits(
+            window_s=settings.window.length_s,
+            subscribers_count=settings.http.stream_clients_limit_count,
+            retention_s=settings.database.retention_s,
+            rows_count=settings.database.rows_limit_count,
+        ),
+    )
+    intake = PassageIntake(unit, metrics=metrics, in_flight_limit_count=settings.ingest.in_flight_limit_count)
+    gateway = FrameGateway(
+        unit=unit,
+        intake=intake,
+        ledger=ExchangeLedger(
+            limit_count=settings.frames.exchange_limit_count, timeout_s=settings.frames.exchange_timeout_s
+        ),
+        metrics=metrics,
+        now_s=time.monotonic,  # budgets guard this machine, so they go by its own time also when the unit's runs faster
+        random_bytes=secrets.token_bytes,
+        refusals_per_s=settings.frames.refusals_per_s,
+        signer=signer,
+        verifier=verifier,
+    )
+    return Parts(
+        settings=settings,
+        unit=unit,
+        store=store,
+        gateway=gateway,
+        intake=intake,
+        streams=StreamDesk(metrics),
+        metrics=metrics,
+        clock=clock,
+    )
+
+
+def site_of_parts(parts: Parts, *, endpoint: FrameEndpoint | None) -> Site:
+    """Return the unit as HTTP sees it."""
+    from rsu_app.adapters.http.site import Site
+
+    settings = parts.settings
+    return Site(
+        unit=parts.unit,
+        intake=parts.intake,
+        gateway=parts.gateway,
+        broadcast=_broadcaster(parts, endpoint),
+        observe=lambda: observe(parts),
+        streams=parts.streams,
+        metrics=parts.metrics,
+        version=software_version(),
+        signatures_required=settings.signing.required,
+        body_limit_bytes=settings.http.body_limit_bytes,
+        stream_heartbeat_s=settings.http.stream_heartbeat_s,
+    )
+
+
+async def observe(parts: Parts) -> None:
+    """Bring the gauges up to date."""
+    metrics, unit = parts.metrics, parts.unit
+    for section_id in unit.section_ids:
+        interval, advisory = unit.current_interval(section_id), unit.current_advisory(section_id)
+        known = interval if isinstance(interval, FrictionInterval) else None
+        # A gauge without a value is NaN: zero would be black ice.
+        metrics.mu_low.labels(section_id).set(known.mu_low if known else nan)
+        metrics.mu_new.labels(section_id).set(known.mu_new if known else nan)
+        metrics.median_mu.labels(section_id).set(known.median_mu if known else nan)
+        metrics.window_passages.labels(section_id).set(known.passages_count if known else 0)
+        if not isinstance(advisory, Rejected):
+            metrics.advisory_speed.labels(section_id).set(advisory.speed_mps)
+    parts.gateway.observe()
+    try:
+        counts = await parts.store.counts()
+    except StoreError as error:
+        _log.warning("store_unreadable", error=str(error))
+    else:
+        metrics.store_queue.set(counts.queued_count)
+        metrics.store_passages.set(counts.passages_count)
+        metrics.store_size.set(counts.database_bytes)
+    metrics.ready.set((await unit.readiness()).ready)
+
+
+def load_sections(settings: Settings) -> tuple[RoadSection, ...]:
+    """Return the sections in the order of the settings.
+
+    Raises:
+        ConfigurationError: A file cannot be read or holds no section; the message names it.
+    """
+    return tuple(_section(chosen.file) for chosen in settings.sections)
+
+
+def load_keys(settings: Settings) -> tuple[Signer | None, Verifier | None]:
+    """Return what signs and what verifies; None where the settings ask for neither.
+
+    Raises:
+        ConfigurationError: A key cannot be read or is none.
+    """
+    signing = settings.signing
+    signer = None if signing.key_file is None else signer_from_pem(_bytes_of(signing.key_file))
+    folder = signing.trusted_keys_folder
+    if folder is None:
+        return signer, None
+    if not folder.is_dir():
+        raise ConfigurationError(f"signing.trusted_keys_folder: {folder} is no folder")
+    pems = [_bytes_of(path) for path in sorted(folder.glob("*.pem"))]
+    return signer, verifier_from_pems(pems, required=signing.required)
+
+
+def load_model(settings: Settings) -> FrictionModel:
+    """Return the model that the settings ask for.
+
+    Raises:
+        BundleError: The bundle must not be trusted.
+        FeatureTableError: It was made for another feature table.
+    """
+    from rsu_app.adapters.inference import load_bundle
+
+    return load_bundle(bundle_path(settings))
+
+
+def bundle_path(settings: Settings) -> Path:
+    """Return the folder of the bundle: the chosen one, or the packaged default."""
+    return settings.model.bundle_path or Path(str(files("rsu_app") / "default_bundle"))
+
+
+def check_settings(settings: Settings) -> list[str]:
+    """Return what the settings lead to, a line each.
+
+    Raises:
+        RoadgripError: Something that was chosen cannot be.
+    """
+    lines = [
+        f"section {s.section_id}: {s.length_m:.0f} m, map {s.version}, bank {s.bank_origin.value}"
+        for s in load_sections(settings)
+    ]
+    manifest = load_model(settings).manifest
+    lines.append(
+        f"bundle {manifest.bundle_id}: {manifest.name}, friction {manifest.mu_range[0]} to {manifest.mu_range[1]}"
+    )
+    signer, verifier = load_keys(settings)
+    lines.append("signs as " + signer.key_id.hex() if signer else "signs nothing")
+    if verifier is None:
+        lines.append("checks no signatures")
+    else:
+        need = "required" if verifier.required else "optional"
+        lines.append(f"trusts {len(verifier.public_keys)} keys, signatures {need}")
+    problems = check_database(settings.database.path)
+    lines.append(f"database {settings.database.path}: " + ("; ".join(problems) or "sound"))
+    return lines
+
+
+def upgrade_database(path: Path) -> str:
+    """Return the revision of the database after bringing it up to date; makes it if missing.
+
+    Raises:
+        StoreError: It cannot be.
+    """
+    from rsu_app.adapters.store import upgrade
+
+    return str(upgrade(path).current)
+
+
+def check_database(path: Path) -> list[str]:
+    """Return what is wrong with the database; nothing if it is sound and of this software's schema."""
+    from rsu_app.adapters.store import check
+
+    if not path.exists():
+        return ["it does not exist yet; `roadgrip-rsu db upgrade` or `serve` make it"]
+    try:
+        state = check(path)
+    except StoreError as error:
+        return [str(error)]
+    return [] if state.up_to_date else [f"revision {state.current}, this software needs {state.expected}"]
+
+
+def software_version() -> str:
+    """Return the version of the installed distribution."""
+    return distribution_version("roadgrip")
+
+
+def _clock(settings: Settings) -> Clock:
+    ratio = settings.clock.speedup_ratio
+    if ratio == 1.0:
+        return SystemClock()
+    _log.warning(
+        "clock_accelerated",
+        speedup_ratio=ratio,
+        warning="FOR DEMONSTRATIONS ONLY: this unit's hour is not an hour, and its stored times are invented",
+    )
+    return AcceleratedClock(ratio)
+
+
+def _model_or_none(settings: Settings) -> FrictionModel | None:
+    """Return the model, or None with an error in the log: a unit without one still says the winter speed."""
+    try:
+        return load_model(settings)
+    except RoadgripError as error:
+        if not isinstance(error, BundleError):
+            error = BundleError(str(error))
+        _log.error("model_unusable", bundle=str(bundle_path(settings)), error=str(error))
+        return None
+
+
+def _advisory_policy(settings: Settings) -> AdvisoryPolicy:
+    return AdvisoryPolicy(
+        winter_speed_mps=settings.advisory.winter_speed_mps,
+        utilisation_frac=settings.advisory.utilisation_frac,
+        rise_margin_mps=settings.advisory.rise_margin_mps,
+        valid_for_s=settings.advisory.valid_for_s,
+    )
+
+
+def _section(file: str) -> RoadSection:
+    packaged = files("roadgrip") / "sections"
+    try:
+        if is_packaged_name(file):
+            text = (packaged / f"{file}.json").read_text(encoding="utf-8")
+        else:
+            text = Path(file).read_text(encoding="utf-8")
+        return section_from_json(text)
+    except (OSError, UnicodeDecodeError) as error:
+        names = ", ".join(sorted(p.name.removesuffix(".json") for p in packaged.iterdir() if p.name.endswith(".json")))
+        raise ConfigurationError(
+            f"section {file!r} cannot be read ({type(error).__name__}); packaged are {names}, anything else is the "
+            "path of a .json file"
+        ) from error
+    except SectionError as error:
+        raise ConfigurationError(f"{file}: {error}") from error
+
+
+def _bytes_of(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise ConfigurationError(f"cannot read {path}: {error.strerror}") from error
+
+
+def _broadcaster(parts: Parts, endpoint: FrameEndpoint | None) -> Callable[[str], Broadcast] | None:
+    from rsu_app.adapters.http.site import Broadcast
+
+    if endpoint is None or not parts.settings.udp.broadcast_host:
+        return None
+
+    def broadcast(section_id: str) -> Broadcast:
+        messages = parts.gateway.guidance(section_id)
+        return Broadcast(frames_count=sum(len(m.frames) for m in messages), bytes_count=endpoint.broadcast(messages))
+
+    return broadcast

@@ -1,0 +1,302 @@
+"""Frames in, frames out, whatever carries them: the same exchange over a radio and over cellular.
+
+The gateway knows no socket and no request. It parses and counts frames, keeps the budget of each exchange, reads
+messages, and turns what the unit says into frames again::
+
+    ARRIVAL -> MAP (unless the vehicle has it) + ADVISORY        `take` answers at once
+    SUMMARY -> the unit ingests -> RECEIPT, after the commit      `take` hands it out, `settle` answers
+    refused -> RECEIPT with the reason, where the exchange is known; so many a second and no more
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import structlog
+
+from roadgrip.errors import WireError
+from roadgrip.exchange import FROM_VEHICLE, ExchangeLedger, Reception, message_of
+from roadgrip.frames import (
+    EXCHANGE_ID_BYTES,
+    Frame,
+    Reassembler,
+    answerable_exchange,
+    exchange_id_of,
+    parse_frame,
+    section_key_of,
+    split_into_frames,
+    unread_passage_id,
+)
+from roadgrip.records import (
+    RSU_FRAME_BUDGET,
+    Arrival,
+    Beacon,
+    MapOffer,
+    Message,
+    Passage,
+    Reason,
+    Receipt,
+    Rejected,
+)
+from roadgrip.signing import Signer, Verifier
+from roadgrip.wire import encode_message, kind_of
+from rsu_app.intake import PassageIntake
+from rsu_app.observability import Metrics
+from rsu_app.usecases import RoadSideUnit
+
+_log = structlog.get_logger("roadgrip")
+
+RECEIPTS_RESERVED_COUNT = 2
+"""Frames of the unit's budget that a repeated ARRIVAL cannot use up: without a receipt the vehicle would never stop."""
+ASSEMBLY_LIMIT_COUNT = 256
+ASSEMBLY_LIMIT_BYTES = 1_048_576
+ASSEMBLY_TIMEOUT_S = 30.0
+"""Both messages of a vehicle fit one frame today, so these bound what should not be there at all."""
+MAPS_KEPT_COUNT = 64
+
+
+class OutFrames(NamedTuple):
+    """The frames of one message that leaves."""
+
+    name: str
+    frames: tuple[bytes, ...]
+
+
+class Taken(NamedTuple):
+    """What a datagram led to: answers to send now, and a passage that is to be settled."""
+
+    replies: tuple[OutFrames, ...] = ()
+    passage: Passage | None = None
+
+
+NOTHING = Taken()
+
+
+@dataclass(slots=True)
+class RefusalBudget:
+    """How many rejections may still be sent: a flood of rubbish must not make the unit a source of another flood."""
+
+    limit_per_s: float
+    _left: float = field(init=False)
+    _at_s: float = field(default=float("-inf"), init=False)
+
+    def __post_init__(self) -> None:
+        self._left = self.limit_per_s
+
+    def take(self, *, now_s: float) -> bool:
+        """Return whether one more may be sent, and count it if so. A second's worth may be saved up."""
+        self._left = min(max(1.0, self.limit_per_s), self._left + (now_s - self._at_s) * self.limit_per_s)
+        self._at_s = now_s
+        if self._left < 1.0:
+            return False
+        self._left -= 1.0
+        return True
+
+
+class FrameGateway:
+    """One unit's side of every exchange.
+
+    Args:
+        unit: Answers.
+        intake: Takes passages; bounded there.
+        ledger: Counts frames per exchange.
+        metrics: Counts everything.
+        now_s: The clock that budgets and time-outs go by.
+        random_bytes: Gives ids to messages that belong to no passage.
+        refusals_per_s: Rejections that may be sent in a second.
+        signer: Signs what leaves, if given.
+        verifier: Checks what comes, if given.
+    """
+
+    def __init__(
+        self,
+        *,
+        unit: RoadSideUnit,
+        intake: PassageIntake,
+        ledger: ExchangeLedger,
+        metrics: Metrics,
+        now_s: Callable[[], float],
+        random_bytes: Callable[[int], bytes],
+        refusals_per_s: float,
+        signer: Signer | None = None,
+        verifier: Verifier | None = None,
+    ) -> None:
+        self._unit = unit
+        self._intake = intake
+        self._ledger = ledger
+        self._metrics = metrics
+        self._now_s = now_s
+        self._random_bytes = random_bytes
+        self._refusals = RefusalBudget(refusals_per_s)
+        self._signer = signer
+        self._verifier = verifier
+        self._reassembler = Reassembler(
+            limit_count=ASSEMBLY_LIMIT_COUNT, limit_bytes=ASSEMBLY_LIMIT_BYTES, timeout_s=ASSEMBLY_TIMEOUT_S
+        )
+        self._maps: dict[str, bytes] = {}
+
+    def take(self, datagram: bytes, *, via: str) -> Taken:
+        """Return what to answer at once and what to settle. Never raises, whatever the bytes are.
+
+        Args:
+            datagram: One frame, or rubbish.
+            via: The transport, for the metrics and as the source of pieces.
+        """
+        now_s = self._now_s()
+        self._metrics.frames_received.labels(via).inc()
+        try:
+            frame = parse_frame(datagram)
+        except WireError as error:
+            exchange_id = answerable_exchange(datagram, error.reason)
+            return self._refused(error, exchange_id, datagram[4:8], via=via, now_s=now_s)
+        if frame.kind not in FROM_VEHICLE:
+            # Another unit, or our own broadcast that came back: not for us, and nobody to answer.
+            self._metrics.frames_dropped.labels(via, "not_for_units").inc()
+            return NOTHING
+        try:
+            return self._read(frame, via=via, now_s=now_s)
+        except WireError as error:
+            return self._refused(error, frame.exchange_id, frame.section_key, via=via, now_s=now_s)
+
+    async def settle(self, passage: Passage, *, via: str) -> tuple[OutFrames, ...]:
+        """Return the receipt of a passage, after the commit that holds it; nothing if the budget is used up."""
+        outcome = await self._intake.receive(passage, via=via)
+        return self._reserved(
+            self._out(
+                Receipt(passage.passage_id, outcome),
+                exchange_id=exchange_id_of(passage.passage_id),
+                section_key=section_key_of(passage.section_id),
+            ),
+            exchange_id=exchange_id_of(passage.passage_id),
+            now_s=self._now_s(),
+        )
+
+    def beacons(self) -> tuple[OutFrames, ...]:
+        """Return the announcement of each section."""
+        return tuple(self._announced(self._unit.beacon(section_id)) for section_id in self._unit.section_ids)
+
+    def guidance(self, section_id: str) -> tuple[OutFrames, ...]:
+        """Return map and advisory of a section for everybody in reach, who asked for nothing.
+
+        Raises:
+            WireError: UNKNOWN_SECTION.
+        """
+        exchange_id = self._random_bytes(EXCHANGE_ID_BYTES)
+        return self._guidance(section_id, known_map_version="", exchange_id=exchange_id)
+
+    def map_message(self, offer: MapOffer) -> bytes:
+        """Return the message MAP, encoded and signed once for each map."""
+        version = offer.section.version
+        payload = self._maps.get(version)
+        if payload is None:
+            if len(self._maps) >= MAPS_KEPT_COUNT:
+                self._maps.clear()
+            payload = self._maps[version] = encode_message(offer, signer=self._signer)
+        return payload
+
+    def observe(self) -> None:
+        """Bring the gauges up to date."""
+        counters = self._reassembler.counters
+        self._metrics.assemblies.set(self._reassembler.held_count)
+        self._metrics.assemblies_given_up.set(counters.evicted_count + counters.expired_count)
+        self._metrics.exchanges.set(self._ledger.open_count)
+        self._metrics.exchanges_evicted.set(self._ledger.counters.evicted_count)
+
+    def _read(self, frame: Frame, *, via: str, now_s: float) -> Taken:
+        match self._ledger.receive(frame, now_s=now_s):
+            case Reception.EXHAUSTED:
+                raise WireError(Reason.BUDGET_EXHAUSTED, "the vehicle has used up its frames")
+            case Reception.DUPLICATE:
+                self._metrics.frame_duplicates.labels(via).inc()
+            case Reception.NEW:
+                pass
+        complete = self._reassembler.offer(frame, source=via, now_s=now_s)
+        if complete is None:
+            return NOTHING
+        message = message_of(complete, expected=FROM_VEHICLE, verifier=self._verifier)
+        self._metrics.messages_received.labels(via, frame.kind.name.lower()).inc()
+        match message:
+            case Arrival():
+                return Taken(self._welcome(message, now_s=now_s))
+            case Passage():
+                return Taken(passage=message)
+            case _:  # `message_of` has refused the rest
+                return NOTHING
+
+    def _welcome(self, arrival: Arrival, *, now_s: float) -> tuple[OutFrames, ...]:
+        exchange_id = exchange_id_of(arrival.passage_id)
+        messages = self._guidance(
+            arrival.section_id, known_map_version=arrival.known_map_version, exchange_id=exchange_id
+        )
+        sent_count = self._ledger.sent_count(exchange_id)
+        if sent_count:
+            # The first answer may cost what it must; later ones leave room for receipts, the advice before the map.
+            left_count = RSU_FRAME_BUDGET - RECEIPTS_RESERVED_COUNT - sent_count
+            *maps, advisory = messages
+            needed_count = sum(len(m.frames) for m in messages)
+            if needed_count > left_count:
+                self._withhold(*maps)
+                messages = (advisory,)
+                if left_count < len(advisory.frames):
+                    self._withhold(advisory)
+                    return ()
+        return self._reserved(*messages, exchange_id=exchange_id, now_s=now_s)
+
+    def _guidance(self, section_id: str, *, known_map_version: str, exchange_id: bytes) -> tuple[OutFrames, ...]:
+        offer, notice = self._unit.map_offer(section_id), self._unit.advisory_notice(section_id)
+        if isinstance(offer, Rejected):
+            raise WireError(offer.reason, offer.detail)
+        if isinstance(notice, Rejected):
+            raise WireError(notice.reason, notice.detail)
+        section_key = section_key_of(section_id)
+        advisory = self._out(notice, exchange_id=exchange_id, section_key=section_key)
+        if known_map_version == offer.section.version:
+            return (advisory,)
+        return (self._out(offer, exchange_id=exchange_id, section_key=section_key), advisory)
+
+    def _announced(self, beacon: Beacon | Rejected) -> OutFrames:
+        assert not isinstance(beacon, Rejected)  # noqa: S101 - the unit was asked for its own sections
+        return self._out(
+            beacon,
+            exchange_id=self._random_bytes(EXCHANGE_ID_BYTES),
+            section_key=section_key_of(beacon.section_id),
+        )
+
+    def _out(self, message: Message, *, exchange_id: bytes, section_key: bytes) -> OutFrames:
+        kind = kind_of(message)
+        payload = (
+            self.map_message(message) if isinstance(message, MapOffer) else encode_message(message, signer=self._signer)
+        )
+        frames = split_into_frames(kind, payload, exchange_id=exchange_id, section_key=section_key)
+        return OutFrames(kind.name.lower(), frames)
+
+    def _reserved(self, *messages: OutFrames, exchange_id: bytes, now_s: float) -> tuple[OutFrames, ...]:
+        """Return the messages that the exchange's budget still has room for, each whole or not at all."""
+        kept = []
+        for message in messages:
+            if self._ledger.reserve(exchange_id, frames_count=len(message.frames), now_s=now_s):
+                kept.append(message)
+            else:
+                self._withhold(message)
+        return tuple(kept)
+
+    def _withhold(self, *messages: OutFrames) -> None:
+        for message in messages:
+            self._metrics.frames_withheld.labels(message.name).inc(len(message.frames))
+
+    def _refused(
+        self, error: WireError, exchange_id: bytes | None, section_key: bytes, *, via: str, now_s: float
+    ) -> Taken:
+        """Count what was refused, and return the receipt that says so where there is somebody to tell."""
+        self._metrics.frames_dropped.labels(via, error.reason.value).inc()
+        _log.info("frame_refused", reason=error.reason.value, detail=error.detail[:200], via=via)
+        if exchange_id is None:
+            return NOTHING
+        if not self._refusals.take(now_s=now_s):
+            self._metrics.refusals_withheld.inc()
+            return NOTHING
+        receipt = Receipt(unread_passage_id(exchange_id), Rejected(error.reason, error.detail))
+        out = self._out(receipt, exchange_id=exchange_id, section_key=section_key)
+        return Taken(self._reserved(out, exchange_id=exchange_id, now_s=now_s))

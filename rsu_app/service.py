@@ -1,0 +1,158 @@
+"""The running process: what starts in which order, what repeats, and how it ends."""
+
+from __future__ import annotations
+
+import asyncio
+import signal
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import AsyncExitStack, asynccontextmanager
+
+import structlog
+
+from roadgrip.errors import RoadgripError, StoreError
+from rsu_app.adapters.http.app import create_app
+from rsu_app.adapters.http.server import HttpServer, listening_socket
+from rsu_app.adapters.udp.endpoint import FrameEndpoint, open_endpoint
+from rsu_app.bootstrap import Parts, build, load_sections, site_of_parts, software_version
+from rsu_app.observability import Metrics, configure_logging
+from rsu_app.settings import Settings
+
+_log = structlog.get_logger("roadgrip")
+
+REFRESH_PERIOD_S = 2.0
+"""How often the unit looks whether time alone has changed its advice."""
+
+
+def run(settings: Settings) -> None:
+    """Run the unit until it is told to stop.
+
+    Raises:
+        RoadgripError: It cannot start; the message says why.
+    """
+    try:
+        import uvloop
+    except ImportError:
+        asyncio.run(_run(settings))
+    else:
+        uvloop.run(_run(settings))
+
+
+async def _run(settings: Settings) -> None:
+    sections = load_sections(settings)
+    metrics = Metrics(version=software_version(), section_ids=(s.section_id for s in sections))
+    configure_logging(
+        level=settings.log.level,
+        style=settings.log.style,
+        lines_limit_per_s=settings.log.lines_limit_per_s,
+        on_drop=metrics.log_lines_dropped.inc,
+    )
+    listener = listening_socket(settings.http.host, settings.http.port)
+    async with AsyncExitStack() as stack:
+        stack.callback(listener.close)
+        parts = build(settings, metrics=metrics, sections=sections)
+        stack.push_async_callback(parts.unit.close)
+        for note in parts.store.notes:
+            _log.info("store_note", note=note)
+        restored_count = await _restored(parts)
+        await parts.unit.note_live_model()
+        endpoint, udp_address = await _endpoint(parts)
+        if endpoint is not None:
+            stack.push_async_callback(endpoint.close)
+        app = create_app(site_of_parts(parts, endpoint=endpoint))
+        server = HttpServer(
+            app,
+            connections_limit_count=settings.http.connections_limit_count,
+            shutdown_s=settings.http.shutdown_s,
+            on_stop=parts.streams.close,
+        )
+        await stack.enter_async_context(_chores(parts, endpoint, server))
+        _stop_on_signals(server)
+        host, port = listener.getsockname()[:2]
+        _log.info(
+            "serving",
+            version=software_version(),
+            http=f"http://{f'[{host}]' if ':' in host else host}:{port}",
+            udp=udp_address,
+            sections=list(parts.unit.section_ids),
+            restored_count=restored_count,
+        )
+        await server.serve(sockets=[listener])
+        _log.info("stopping")
+    _log.info("stopped")
+    if server.failed:
+        raise RoadgripError("a task of the unit failed; the log says which")
+
+
+async def _restored(parts: Parts) -> int:
+    try:
+        return await parts.unit.restore()
+    except StoreError as error:
+        _log.error("window_not_restored", error=str(error))
+        return 0
+
+
+async def _endpoint(parts: Parts) -> tuple[FrameEndpoint | None, str]:
+    udp = parts.settings.udp
+    if not udp.enabled:
+        return None, ""
+    endpoint, (host, port) = await open_endpoint(
+        parts.gateway,
+        metrics=parts.metrics,
+        host=udp.host,
+        port=udp.port,
+        broadcast_address=(udp.broadcast_host, udp.broadcast_port) if udp.broadcast_host else None,
+        receive_buffer_bytes=udp.receive_buffer_bytes,
+    )
+    return endpoint, f"{host}:{port}"
+
+
+@asynccontextmanager
+async def _chores(parts: Parts, endpoint: FrameEndpoint | None, server: HttpServer) -> AsyncIterator[None]:
+    """Do what repeats while the unit runs; a chore that dies of a bug takes the unit down, loudly."""
+
+    async def refresh() -> None:
+        parts.unit.refresh()
+
+    async def prune() -> None:
+        deleted_count = await parts.unit.prune()
+        if deleted_count:
+            _log.info("pruned", passages_count=deleted_count)
+
+    chores = [
+        _repeat("refresh", refresh, period_s=REFRESH_PERIOD_S),
+        _repeat("prune", prune, period_s=parts.settings.database.prune_period_s),
+    ]
+    udp = parts.settings.udp
+    if endpoint is not None and udp.broadcast_host and udp.beacon_period_s > 0.0:
+        chores.append(endpoint.announce(period_s=udp.beacon_period_s))
+
+    def on_end(task: asyncio.Task[None]) -> None:
+        if not task.cancelled() and (error := task.exception()) is not None:
+            _log.critical("chore_failed", error=repr(error))
+            server.failed = True
+            server.stop()
+
+    tasks = [asyncio.create_task(chore) for chore in chores]
+    for task in tasks:
+        task.add_done_callback(on_end)
+    try:
+        yield
+    finally:
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+
+
+async def _repeat(name: str, chore: Callable[[], Awaitable[None]], *, period_s: float) -> None:
+    while True:
+        await asyncio.sleep(period_s)
+        try:
+            await chore()
+        except StoreError as error:
+            _log.warning("chore_postponed", chore=name, error=str(error))
+
+
+def _stop_on_signals(server: HttpServer) -> None:
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, server.stop)

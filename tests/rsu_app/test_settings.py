@@ -1,0 +1,104 @@
+from pathlib import Path
+
+import pytest
+from pydantic import ValidationError
+
+from roadgrip.errors import ConfigurationError
+from rsu_app.settings import Settings, load_settings, settings_rows, settings_table
+
+
+def written(folder: Path, text: str) -> Path:
+    path = folder / "rsu.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_the_defaults_listen_on_this_machine_only():
+    settings = load_settings(None)
+    assert (settings.http.host, settings.udp.host, settings.udp.broadcast_host) == ("127.0.0.1", "127.0.0.1", "")
+
+
+def test_settings_cannot_be_changed_after_loading():
+    with pytest.raises(ValidationError):
+        load_settings(None).http.port = 1
+
+
+def test_the_file_overrules_the_defaults(tmp_path):
+    assert load_settings(written(tmp_path, "[http]\nport = 9001\n")).http.port == 9001
+
+
+def test_the_environment_overrules_the_file(tmp_path, monkeypatch):
+    monkeypatch.setenv("ROADGRIP_HTTP__PORT", "9002")
+    settings = load_settings(written(tmp_path, '[http]\nport = 9001\nhost = "192.0.2.1"\n'))
+    assert (settings.http.port, settings.http.host) == (9002, "192.0.2.1")
+
+
+def test_sections_come_from_the_environment_as_json(monkeypatch):
+    monkeypatch.setenv("ROADGRIP_SECTIONS", '[{"file": "s-turn", "winter_speed_mps": 11.1}]')
+    (section,) = load_settings(None).sections
+    assert (section.file, section.winter_speed_mps) == ("s-turn", 11.1)
+
+
+def test_paths_in_a_file_are_relative_to_it(tmp_path):
+    settings = load_settings(
+        written(tmp_path, '[database]\npath = "rsu.sqlite3"\n[[sections]]\nfile = "maps/a.json"\n')
+    )
+    assert settings.database.path == tmp_path / "rsu.sqlite3"
+    assert settings.sections[0].file == str(tmp_path / "maps/a.json")
+
+
+def test_a_packaged_section_keeps_its_name(tmp_path):
+    assert load_settings(written(tmp_path, '[[sections]]\nfile = "s-turn"\n')).sections[0].file == "s-turn"
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        ("[http]\nprot = 1\n", "http.prot"),
+        ("[http]\nport = 70000\n", "http.port"),
+        ('[http]\nhost = "my host"\n', "http.host"),
+        ("[clock]\nspeedup_ratio = nan\n", "clock.speedup_ratio"),
+        ("[clock]\nspeedup_ratio = inf\n", "clock.speedup_ratio"),
+        ("[signing]\nrequired = true\n", "signing"),
+        ("sections = []\n", "sections"),
+        ("[http\n", "not TOML"),
+        ("http = 3\n", "http"),
+    ],
+)
+def test_what_cannot_be_is_refused_by_name(tmp_path, text, named):
+    with pytest.raises(ConfigurationError, match=named):
+        load_settings(written(tmp_path, text))
+
+
+def test_a_file_that_is_not_there_is_named(tmp_path):
+    with pytest.raises(ConfigurationError, match=r"nowhere\.toml"):
+        load_settings(tmp_path / "nowhere.toml")
+
+
+def test_a_misspelt_variable_is_refused(monkeypatch):
+    monkeypatch.setenv("ROADGRIP_HTTP__PROT", "1")
+    with pytest.raises(ConfigurationError, match="ROADGRIP_HTTP__PROT"):
+        load_settings(None)
+
+
+def test_a_variable_that_is_not_json_is_refused(monkeypatch):
+    monkeypatch.setenv("ROADGRIP_SECTIONS", "s-turn")
+    with pytest.raises(ConfigurationError, match="sections"):
+        load_settings(None)
+
+
+def test_every_setting_is_described():
+    assert [row.name for row in settings_rows() if not row.description.endswith(".")] == []
+
+
+def test_the_operators_page_holds_the_table_of_settings(project_root):
+    assert settings_table() in (project_root / "deploy/README.md").read_text(encoding="utf-8")
+
+
+def test_the_example_configuration_is_the_defaults_spelt_out(project_root):
+    example = load_settings(project_root / "deploy/rsu.example.toml")
+    plain = Settings()
+    differing = {
+        name for name in Settings.model_fields if name != "database" and getattr(example, name) != getattr(plain, name)
+    }
+    assert differing == set()
