@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from roadgrip.errors import TraceError
+from roadgrip.records import QualityFlag
 from roadgrip.units import SAMPLE_S
 
 if TYPE_CHECKING:
@@ -52,6 +53,7 @@ class Trace:
         valid: False where a sample is missing; its values then do not matter.
         stability_active: True while ABS, traction control or ESC intervene, where the vehicle reports it.
         gnss: Position fixes, if the vehicle has any.
+        quality: What is known about the recording beforehand, such as a speed that comes from a reference instrument.
     """
 
     time_s: FloatArray
@@ -64,6 +66,7 @@ class Trace:
     valid: BoolArray
     stability_active: BoolArray | None = None
     gnss: GnssTrack | None = None
+    quality: QualityFlag = QualityFlag.NONE
 
     @property
     def samples_count(self) -> int:
@@ -116,4 +119,5 @@ def mirrored(trace: Trace) -> Trace:
         valid=trace.valid,
         stability_active=trace.stability_active,
         gnss=None,
+        quality=trace.quality,
     )

@@ -1,0 +1,60 @@
+"""The roll of the body, and the lateral acceleration that remains when gravity is taken out of the accelerometer."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from roadgrip.units import GRAVITY_MPS2
+from vehicle_client.estimation.filters import integral, slow_part
+
+if TYPE_CHECKING:
+    from roadgrip.units import FloatArray
+
+
+def chassis_roll_rad(
+    accel_y_mps2: FloatArray,
+    yaw_rate_radps: FloatArray,
+    speed_mps: FloatArray,
+    roll_rate_radps: FloatArray,
+    bank_rad: FloatArray,
+    *,
+    crossover_hz: float,
+) -> FloatArray:
+    """Return the roll of the body against the road, left side up positive. (n,)
+
+    Complementary filter, forward and backward. Slowly changing roll comes from the accelerometer: what it reads
+    beyond the centripetal acceleration is gravity. Quickly changing roll comes from the integrated roll rate. Both
+    see body and road together, so the bank of the map is taken off.
+
+    The slow part takes a constant accelerometer offset for roll, and so takes it out. It takes a lateral velocity
+    that changes more slowly than the crossover for roll as well, and takes that out too: slow sideslip is not seen.
+
+    Args:
+        accel_y_mps2: Specific force to the left. (n,)
+        yaw_rate_radps: Left turn positive. (n,)
+        speed_mps: Forward. (n,)
+        roll_rate_radps: Left side up positive. (n,)
+        bank_rad: Cross slope of the road as an angle, left edge up positive, from the map. (n,)
+        crossover_hz: Where slow and fast roll meet.
+
+    References:
+        Our reconstruction; Langstrand and Rabi, section "Observer for longitudinal and lateral speeds", only say
+        that a complementary filter on the IMU gives the chassis roll and the map the bank.
+    """
+    tilt = np.arcsin(np.clip((accel_y_mps2 - yaw_rate_radps * speed_mps) / GRAVITY_MPS2, -1.0, 1.0))
+    turned = integral(roll_rate_radps)
+    return turned + slow_part(tilt - turned, crossover_hz=crossover_hz) - bank_rad
+
+
+def road_accel_y_mps2(accel_y_mps2: FloatArray, *, chassis_roll_rad: FloatArray, bank_rad: FloatArray) -> FloatArray:
+    """Return the lateral acceleration of the vehicle in the road's plane, gravity taken out. (n,)
+
+    Args:
+        accel_y_mps2: Specific force to the left, in the body's axes. (n,)
+        chassis_roll_rad: Body against road, left side up positive. (n,)
+        bank_rad: Road against horizon, left edge up positive. (n,)
+    """
+    tilt = chassis_roll_rad + bank_rad
+    return (accel_y_mps2 - GRAVITY_MPS2 * np.sin(tilt)) / np.cos(tilt)

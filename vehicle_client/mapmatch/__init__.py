@@ -1,0 +1,1 @@
+"""Where on the map a drive took place, with and without satellites."""

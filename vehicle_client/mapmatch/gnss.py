@@ -1,0 +1,174 @@
+"""Matching with satellites: fixes give the place, dead reckoning gives what lies between them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from roadgrip.geodesy import frame_of
+from roadgrip.records import Reason, Rejected
+from vehicle_client.mapmatch.match import MatchMethod, SectionMatch, section_match
+
+if TYPE_CHECKING:
+    from roadgrip.section import RoadSection, SectionProfile
+    from roadgrip.units import BoolArray, FloatArray
+    from vehicle_client.estimation.trace import GnssTrack
+    from vehicle_client.mapmatch.dead_reckoning import DrivenLine
+
+ACCURACY_LIMIT_M = 25.0
+"""Fixes that call themselves worse are left out."""
+LATERAL_LIMIT_M = 12.0
+"""Median distance from the mapped lane; two lanes and a few metres of receiver."""
+NEAR_M = 40.0
+"""Fixes farther than this from the centre line are not on it."""
+BEYOND_M = 60.0
+"""How far the road is continued straight beyond its ends."""
+STATION_RESIDUAL_LIMIT_M = 12.0
+EDGE_TOLERANCE_M = 8.0
+FIXES_MIN_COUNT = 5
+COVERAGE_MIN_FRAC = 0.3
+"""Dropouts are bridged, but the fixes must span this share of the section."""
+SCALE_STD_RATIO = 0.01
+TREND_MIN_RATIO = 0.5
+"""Stations that fall by more than this per metre driven: the other direction."""
+_JUMP_M = 60.0
+_ROUNDS_COUNT = 5
+_PAIRS_LIMIT_COUNT = 2_000_000
+
+
+def positions_usable(gnss: GnssTrack | None, section: RoadSection) -> bool:
+    """Return whether a track and a map can be brought together: enough good fixes, and anchors on the map."""
+    if gnss is None or len(section.anchors) < 2:
+        return False
+    return int(_good(gnss).sum()) >= FIXES_MIN_COUNT
+
+
+def match_by_gnss(
+    gnss: GnssTrack, line: DrivenLine, time_s: FloatArray, section: RoadSection
+) -> SectionMatch | Rejected | None:
+    """Return where a drive passed a section, from position fixes.
+
+    Stations of the fixes are fitted by a robust straight line over the odometer, so that noise averages out and
+    dropouts are bridged. The confidence is the share of fixes along the section that agree with that line.
+
+    Args:
+        gnss: Fixes, at least some good ones.
+        line: From `driven_line`.
+        time_s: Of the samples of the line. (n,)
+        section: The map, with anchors.
+
+    Returns:
+        The match; or WRONG_ROAD if the drive stays away from the section or runs against its direction; or
+        PASSAGE_ABORTED if start or end is missing or the vehicle turned round; or None if the fixes near the section
+        are too few to say.
+
+    Raises:
+        SectionError: The section's anchors cannot be used.
+    """
+    good = _good(gnss) & (gnss.time_s >= time_s[0]) & (gnss.time_s <= time_s[-1])
+    if good.sum() < FIXES_MIN_COUNT:
+        return None
+    x, y = frame_of(section).to_local(gnss.lat_deg[good], gnss.lon_deg[good])
+    station, lateral = _projected(x, y, section.profile)
+    travelled = np.interp(gnss.time_s[good], time_s, line.distance_m)
+    length = section.length_m
+    near = (np.abs(lateral) <= NEAR_M) & (station > -BEYOND_M) & (station < length + BEYOND_M)
+    near = _one_pass(near, station, travelled)
+    station, lateral, travelled = station[near], lateral[near], travelled[near]
+    within = (station >= 0.0) & (station <= length)
+    if within.sum() < FIXES_MIN_COUNT:
+        return Rejected(Reason.WRONG_ROAD, "the fixes stay away from the section")
+    aside = float(np.median(np.abs(lateral[within])))
+    if aside > LATERAL_LIMIT_M:
+        return Rejected(Reason.WRONG_ROAD, f"the fixes lie {aside:.0f} m beside the section")
+    if float(np.polyfit(travelled - travelled.mean(), station, 1)[0]) < -TREND_MIN_RATIO:
+        return Rejected(Reason.WRONG_ROAD, "driven against the direction of the section")
+    shift, scale, residual = _odometer_fit(station, travelled)
+    driven = shift + scale * line.distance_m
+    problem = _incompleteness(driven, residual, length_m=length)
+    if problem:
+        return Rejected(Reason.PASSAGE_ABORTED, problem)
+    if float(np.ptp(station[within])) < COVERAGE_MIN_FRAC * length:
+        return None
+    agreeing = np.abs(residual) <= STATION_RESIDUAL_LIMIT_M
+    return section_match(
+        time_s,
+        driven,
+        length_m=length,
+        confidence_frac=float(np.mean(agreeing[within])),
+        # Receiver errors wander over minutes: within one passage they are hardly independent.
+        position_std_m=float(np.hypot(np.std(residual[agreeing]), np.median(gnss.accuracy_m[good][near]))),
+        method=MatchMethod.GNSS,
+    )
+
+
+def _incompleteness(driven_m: FloatArray, residual_m: FloatArray, *, length_m: float) -> str:
+    """Return what a pass lacks, or the empty string."""
+    if float(np.quantile(np.abs(residual_m), 0.8)) > STATION_RESIDUAL_LIMIT_M:
+        return "the vehicle turned round or left the section on the way"
+    if driven_m[0] > EDGE_TOLERANCE_M:
+        return f"the trace begins {driven_m[0]:.0f} m after the start"
+    if driven_m[-1] < length_m - EDGE_TOLERANCE_M:
+        return f"the trace ends {length_m - driven_m[-1]:.0f} m before the end"
+    return ""
+
+
+def _good(gnss: GnssTrack) -> BoolArray:
+    finite = np.isfinite(gnss.lat_deg) & np.isfinite(gnss.lon_deg) & np.isfinite(gnss.time_s)
+    return finite & (gnss.accuracy_m <= ACCURACY_LIMIT_M)
+
+
+def _projected(x_m: FloatArray, y_m: FloatArray, profile: SectionProfile) -> tuple[FloatArray, FloatArray]:
+    """Return station and lateral offset (left positive) of points; beyond its ends the road goes on straight."""
+    # A fix every 10 cm along 10 km would be 10^9 pairs; the nearest point is searched on a thinned line first.
+    stride = max(1, len(x_m) * len(profile.station_m) // _PAIRS_LIMIT_COUNT)
+    index = np.arange(0, len(profile.station_m), stride)
+    squares = (x_m[:, None] - profile.x_m[index]) ** 2 + (y_m[:, None] - profile.y_m[index]) ** 2
+    nearest = index[np.argmin(squares, axis=1)]
+    for _ in range(4 if stride > 1 else 2):
+        heading = profile.heading_rad[nearest]
+        dx, dy = x_m - profile.x_m[nearest], y_m - profile.y_m[nearest]
+        along = dx * np.cos(heading) + dy * np.sin(heading)
+        lateral = dy * np.cos(heading) - dx * np.sin(heading)
+        station = profile.station_m[nearest] + along
+        nearest = np.clip(np.searchsorted(profile.station_m, station), 0, len(profile.station_m) - 1)
+    return station, lateral
+
+
+def _one_pass(near: BoolArray, station_m: FloatArray, travelled_m: FloatArray) -> BoolArray:
+    """Return the longest stretch of fixes near the section that is one pass: no gap in which much else was driven."""
+    index = np.flatnonzero(near)
+    if len(index) == 0:
+        return near
+    # Between two fixes of one pass the vehicle drives about what its station gains.
+    detour = np.abs(np.diff(travelled_m[index]) - np.diff(station_m[index]))
+    pieces = np.split(index, np.flatnonzero((detour > _JUMP_M) & (np.diff(index) > 1)) + 1)
+    longest = max(pieces, key=lambda piece: float(np.ptp(station_m[piece])))
+    mask = np.zeros_like(near)
+    mask[longest] = True
+    return mask
+
+
+def _odometer_fit(station_m: FloatArray, travelled_m: FloatArray) -> tuple[float, float, FloatArray]:
+    """Return shift, scale and residuals of station = shift + scale * travelled, outliers weighted down.
+
+    References:
+        Iteratively reweighted least squares with Huber's weights; the scale has a prior around 1.
+    """
+    middle = float(travelled_m.mean())
+    at = travelled_m - middle
+    shift = float(np.median(station_m - travelled_m)) + middle
+    scale = 1.0
+    for _ in range(_ROUNDS_COUNT):
+        residual = station_m - shift - scale * at
+        size = max(0.5, 1.5 * float(np.median(np.abs(residual))))
+        weight = np.minimum(1.0, size / np.maximum(np.abs(residual), 1e-9))
+        centre = float(np.average(at, weights=weight))
+        power = float(np.sum(weight * (at - centre) ** 2))
+        prior = size**2 * len(at) / 10.0 / SCALE_STD_RATIO**2
+        gain = float(np.sum(weight * (at - centre) * (station_m - at)))
+        scale = 1.0 + gain / (power + prior)
+        shift = float(np.average(station_m - scale * at, weights=weight))
+    residual = station_m - shift - scale * at
+    return shift - scale * middle, scale, residual

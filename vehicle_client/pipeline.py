@@ -1,0 +1,258 @@
+"""The whole onboard client as one pure function: a trace and a map in, a kinematic summary or a refusal out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from roadgrip.records import KinematicSummary, QualityFlag, Reason, Rejected
+from roadgrip.units import GRAVITY_MPS2
+from vehicle_client.estimation.filters import smoothed
+from vehicle_client.estimation.gaps import believable, bridged, longest_gap_s, missing_frac
+from vehicle_client.estimation.mounting import InertialSignals, at_centre_of_gravity, levelled
+from vehicle_client.estimation.observer import (
+    PAPER_PARAMETERS,
+    ObserverParameters,
+    observed_velocity_mps,
+    sideslip_rad,
+    sideslip_rate_radps,
+    straightness_1ps,
+)
+from vehicle_client.estimation.offsets import SensorOffsets, sensor_offsets
+from vehicle_client.estimation.roll import chassis_roll_rad, road_accel_y_mps2
+from vehicle_client.estimation.summary import KinematicSignals, kinematic_summary
+from vehicle_client.estimation.vehicle_geometry import XC90, VehicleGeometry
+from vehicle_client.estimation.wheel_speed import encoder_speed_mps
+from vehicle_client.estimation.yaw_rate import yaw_rate_excess_radps
+from vehicle_client.mapmatch.dead_reckoning import driven_line, match_by_dead_reckoning
+from vehicle_client.mapmatch.gnss import match_by_gnss, positions_usable
+from vehicle_client.mapmatch.match import MatchMethod, SectionMatch
+
+if TYPE_CHECKING:
+    from roadgrip.section import RoadSection
+    from roadgrip.units import BoolArray, FloatArray
+    from vehicle_client.estimation.trace import Trace
+
+GAP_LIMIT_S = 0.3
+"""Longer gaps inside the section lose a peak that matters."""
+MISSING_LIMIT_FRAC = 0.05
+SAMPLES_MIN_COUNT = 100
+"""Fewer are no bag to take statistics of."""
+SPEED_MIN_MPS = 2.0
+"""Below it a vehicle says nothing about the road, and angles of its velocity mean nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class Summarised:
+    """A passage that the vehicle can report.
+
+    Attributes:
+        summary: What is sent.
+        match: When the vehicle was inside the section.
+        signals: What was estimated at every sample, for plots and comparisons.
+        offsets: What was subtracted from the sensors.
+    """
+
+    summary: KinematicSummary
+    match: SectionMatch
+    signals: KinematicSignals
+    offsets: SensorOffsets
+
+    @property
+    def left_at_s(self) -> float:
+        """When the vehicle left the section, on the clock of the trace."""
+        return self.match.exit_s
+
+
+def summarise_passage(
+    trace: Trace,
+    section: RoadSection,
+    *,
+    vehicle: VehicleGeometry = XC90,
+    parameters: ObserverParameters = PAPER_PARAMETERS,
+) -> Summarised | Rejected:
+    """Return what a vehicle makes of one drive over a section, or why it keeps it to itself.
+
+    Refused are: fewer than 100 samples, or so many inside the section (TOO_SHORT); gaps over 0.3 s or 5 % inside the
+    section, or gaps that prevent the match (TOO_MANY_GAPS); less than 2 m/s inside the section (TOO_SLOW); a drive
+    elsewhere (WRONG_ROAD); a passage without its start or end (PASSAGE_ABORTED).
+
+    Args:
+        trace: The drive, best with a few seconds of approach and exit.
+        section: The map from the road side unit.
+        vehicle: The own car.
+        parameters: Constants of the estimation.
+
+    Raises:
+        TraceError: The trace's arrays do not fit each other.
+    """
+    valid = believable(trace)
+    if int(valid.sum()) < SAMPLES_MIN_COUNT:
+        return Rejected(Reason.TOO_SHORT, f"{int(valid.sum())} samples")
+    trace = bridged(trace, valid)
+    rough = _rough_speed_mps(trace, vehicle=vehicle, parameters=parameters)
+    match = _matched(trace, rough, section)
+    if isinstance(match, Rejected):
+        gap = longest_gap_s(valid)
+        if gap > GAP_LIMIT_S or missing_frac(valid) > MISSING_LIMIT_FRAC:
+            return Rejected(Reason.TOO_MANY_GAPS, f"longest gap {gap:.2f} s; {match.detail}")
+        return match
+    inside = match.inside(trace.time_s)
+    refusal = _refusal(inside=inside, valid=valid, speed_mps=rough)
+    if refusal is not None:
+        return refusal
+    offsets = sensor_offsets(
+        trace.accel_y_mps2,
+        trace.yaw_rate_radps,
+        trace.steer_rad,
+        rough,
+        valid & (trace.time_s < match.entry_s),
+        wheelbase_m=vehicle.wheelbase_m,
+    )
+    signals = kinematic_signals(
+        trace, section, station_m=match.station_m, vehicle=vehicle, parameters=parameters, offsets=offsets
+    )
+    counted = inside & valid
+    summary = kinematic_summary(
+        signals,
+        counted,
+        duration_s=match.exit_s - match.entry_s,
+        quality=_quality(trace, match, offsets, missing=bool((inside & ~valid).any())),
+    )
+    return Summarised(summary=summary, match=match, signals=signals, offsets=offsets)
+
+
+def kinematic_signals(
+    trace: Trace,
+    section: RoadSection,
+    *,
+    station_m: FloatArray,
+    vehicle: VehicleGeometry,
+    parameters: ObserverParameters,
+    offsets: SensorOffsets,
+) -> KinematicSignals:
+    """Return everything the client estimates, at every sample.
+
+    Args:
+        trace: Without gaps (bridged), more than 30 samples.
+        section: The map, for bank and grade; beyond its ends they are held.
+        station_m: Position along the section. (n,)
+        vehicle: The own car.
+        parameters: Constants of the estimation.
+        offsets: To subtract from the sensors.
+    """
+    measured = _inertial(trace, vehicle, offsets)
+    yaw_rate = measured.yaw_rate_radps
+    accel_y = smoothed(measured.accel_y_mps2)
+    steer = smoothed(trace.steer_rad - offsets.steer_rad)
+    profile = section.profile
+    bank = np.arctan(np.interp(station_m, profile.station_m, profile.cross_slope_ratio))
+    climb = np.arctan(np.interp(station_m, profile.station_m, profile.grade_ratio))
+    accel_x = smoothed(measured.accel_x_mps2) - GRAVITY_MPS2 * np.sin(climb)
+
+    def speed_given(velocity_y_mps: FloatArray) -> FloatArray:
+        return encoder_speed_mps(
+            trace.wheel_speed_mps, yaw_rate, steer, accel_x, velocity_y_mps, vehicle=vehicle, parameters=parameters
+        )
+
+    speed = speed_given(np.zeros_like(yaw_rate))
+    roll = chassis_roll_rad(
+        accel_y,
+        yaw_rate,
+        speed,
+        measured.roll_rate_radps,
+        bank,
+        crossover_hz=parameters.roll_crossover_hz,
+    )
+    road_accel_y = road_accel_y_mps2(accel_y, chassis_roll_rad=roll, bank_rad=bank)
+    rate = sideslip_rate_radps(road_accel_y, yaw_rate, speed)
+    straight = straightness_1ps(yaw_rate, steer, rate, parameters=parameters)
+
+    def velocity_given(speed_mps: FloatArray) -> tuple[FloatArray, FloatArray]:
+        x, y = observed_velocity_mps(accel_x, road_accel_y, yaw_rate, speed_mps, straight, parameters=parameters)
+        return smoothed(x), smoothed(y)
+
+    _, velocity_y = velocity_given(speed)
+    # The front wheels roll partly sideways: once the lateral velocity is known, the encoders tell a better speed.
+    speed = speed_given(velocity_y)
+    velocity_x, velocity_y = velocity_given(speed)
+    return KinematicSignals(
+        steer_rad=steer,
+        sideslip_rad=sideslip_rad(velocity_x, velocity_y),
+        sideslip_rate_radps=sideslip_rate_radps(road_accel_y, yaw_rate, speed),
+        yaw_rate_excess_radps=yaw_rate_excess_radps(
+            yaw_rate, speed, steer, wheelbase_m=vehicle.wheelbase_m, track_m=vehicle.track_m
+        ),
+        speed_mps=np.maximum(speed, 0.0),
+        velocity_x_mps=velocity_x,
+        velocity_y_mps=velocity_y,
+        yaw_rate_radps=yaw_rate,
+        chassis_roll_rad=roll,
+        straightness_1ps=straight,
+    )
+
+
+def _inertial(trace: Trace, vehicle: VehicleGeometry, offsets: SensorOffsets) -> InertialSignals:
+    signals = InertialSignals(
+        accel_x_mps2=trace.accel_x_mps2,
+        accel_y_mps2=trace.accel_y_mps2,
+        roll_rate_radps=trace.roll_rate_radps,
+        yaw_rate_radps=trace.yaw_rate_radps,
+    )
+    signals = levelled(signals, vehicle)
+    signals = replace(
+        signals,
+        accel_y_mps2=signals.accel_y_mps2 - offsets.accel_y_mps2,
+        yaw_rate_radps=signals.yaw_rate_radps - offsets.yaw_rate_radps,
+    )
+    return at_centre_of_gravity(signals, vehicle)
+
+
+def _rough_speed_mps(trace: Trace, *, vehicle: VehicleGeometry, parameters: ObserverParameters) -> FloatArray:
+    """Return the encoder speed before offsets, bank and grade are known; good enough to find the section."""
+    return encoder_speed_mps(
+        trace.wheel_speed_mps,
+        trace.yaw_rate_radps,
+        smoothed(trace.steer_rad),
+        smoothed(trace.accel_x_mps2),
+        np.zeros_like(trace.yaw_rate_radps),
+        vehicle=vehicle,
+        parameters=parameters,
+    )
+
+
+def _matched(trace: Trace, speed_mps: FloatArray, section: RoadSection) -> SectionMatch | Rejected:
+    line = driven_line(speed_mps, trace.yaw_rate_radps)
+    if trace.gnss is not None and positions_usable(trace.gnss, section):
+        found = match_by_gnss(trace.gnss, line, trace.time_s, section)
+        if found is not None:
+            return found
+    return match_by_dead_reckoning(line, trace.time_s, section)
+
+
+def _refusal(*, inside: BoolArray, valid: BoolArray, speed_mps: FloatArray) -> Rejected | None:
+    count = int(np.count_nonzero(inside))
+    if count < SAMPLES_MIN_COUNT:
+        return Rejected(Reason.TOO_SHORT, f"{count} samples inside the section")
+    gap, missing = longest_gap_s(valid[inside]), missing_frac(valid[inside])
+    if gap > GAP_LIMIT_S or missing > MISSING_LIMIT_FRAC:
+        return Rejected(Reason.TOO_MANY_GAPS, f"longest gap {gap:.2f} s, {missing:.1%} of the samples missing")
+    slowest = float(speed_mps[inside].min())
+    if slowest < SPEED_MIN_MPS:
+        return Rejected(Reason.TOO_SLOW, f"slowed to {slowest:.1f} m/s inside the section")
+    return None
+
+
+def _quality(trace: Trace, match: SectionMatch, offsets: SensorOffsets, *, missing: bool) -> QualityFlag:
+    quality = trace.quality
+    if match.method is not MatchMethod.GNSS:
+        quality |= QualityFlag.NO_GNSS
+    if offsets.uncertain:
+        quality |= QualityFlag.OFFSETS_UNCERTAIN
+    if missing:
+        quality |= QualityFlag.SAMPLES_MISSING
+    if trace.stability_active is not None and bool(trace.stability_active[match.inside(trace.time_s)].any()):
+        quality |= QualityFlag.STABILITY_ACTIVE
+    return quality
