@@ -38,7 +38,7 @@ from vehicle_client.simulator.vehicle import Vehicle
 GUESS_MU, FELT_SLIDE, FELT_FORCE, ACCEL_WISH, STEER_WISH = 0, 1, 2, 3, 4
 MIND_SIZE = 5
 
-_SCAN_M = 2.0
+_SCAN_M = 4.0
 _FEELING_S = 0.12
 _DOUBT_S = 0.25
 _SURE_MU = 1.2
@@ -95,7 +95,7 @@ def scan_ahead(
         Speed in m/s; deceleration in m/s2, zero where none is needed.
     """
     willing = min(driver.comfort_accel_mps2, driver.grip_share_ratio * guess_mu * GRAVITY_MPS2)
-    braking = min(driver.braking_mps2, 0.4 * guess_mu * GRAVITY_MPS2)
+    braking = min(driver.braking_mps2, max(0.5, 0.4 * guess_mu * GRAVITY_MPS2))
     # Nearer than what he covers while his foot moves, there is nothing to plan.
     nearest = max(2.0, 0.7 * speed_mps)
     allowed = 1e4
@@ -161,15 +161,15 @@ def choose_pedals(
     guess = mind[GUESS_MU]
     allowed, needed = scan_ahead(lines, start_m, step_m, body[STATION], speed, guess, driver)
     wish = min(2.0, 0.8 * (min(target_mps, allowed) - speed))
-    braking = min(driver.braking_mps2, 0.4 * guess * GRAVITY_MPS2)
+    braking = min(driver.braking_mps2, max(0.5, 0.4 * guess * GRAVITY_MPS2))
     if needed > 0.6 * braking:
         wish = min(wish, -needed)
     # In a curve the brakes get what cornering leaves, by his guess; while he feels the car slide, very little.
     left = 1.0 - min(1.0, (body[FORCE_Y] / (guess * GRAVITY_MPS2)) ** 2)
-    cap = min(4.0, 0.7 * guess * GRAVITY_MPS2) * max(0.15, math.sqrt(left))
+    cap = min(4.0, max(1.0, 0.7 * guess * GRAVITY_MPS2)) * max(0.15, math.sqrt(left))
     if mind[FELT_SLIDE] > driver.slide_feeling_ratio:
         wish = min(wish, -0.3)
-        cap = min(cap, max(0.3, 0.2 * guess * GRAVITY_MPS2))
+        cap = min(cap, max(0.5, 0.3 * guess * GRAVITY_MPS2))
     mind[ACCEL_WISH] += (max(-cap, wish) - mind[ACCEL_WISH]) * sample_s / _PEDAL_S
 
 

@@ -51,7 +51,7 @@ class Driver(NamedTuple):
         grip_share_ratio: Share of the guessed grip that he is willing to use in a curve.
         comfort_accel_mps2: Lateral acceleration that he does not exceed by choice, whatever the grip.
         braking_mps2: Deceleration that he plans with when he sees a curve, on a surface that allows it.
-        sight_m: How far ahead he reads the road.
+        sight_m: How far ahead he knows the road, by sight, signs or habit.
         preview_s: Time ahead at which he aims the car.
         steer_lag_s: First-order lag of arms and steering gear.
         yaw_damping_s_ratio: Counter-steer per yaw rate error, rad per rad/s.
@@ -62,11 +62,11 @@ class Driver(NamedTuple):
     grip_share_ratio: float = 0.75
     comfort_accel_mps2: float = 6.0
     braking_mps2: float = 2.0
-    sight_m: float = 100.0
+    sight_m: float = 200.0
     preview_s: float = 0.9
     steer_lag_s: float = 0.12
     yaw_damping_s_ratio: float = 0.08
-    slide_feeling_ratio: float = 0.9
+    slide_feeling_ratio: float = 0.6
 
 
 UNIMPRESSED = Driver()
@@ -140,11 +140,11 @@ def draw_driver(rng: np.random.Generator, *, base_friction_mu: float, kind: Driv
         grip_share_ratio=rng.uniform(0.6, 0.9),
         comfort_accel_mps2=rng.uniform(4.5, 7.0),
         braking_mps2=rng.uniform(1.5, 2.5),
-        sight_m=rng.uniform(80.0, 120.0),
+        sight_m=rng.uniform(150.0, 250.0),
         preview_s=rng.uniform(0.7, 1.1),
         steer_lag_s=rng.uniform(0.08, 0.16),
         yaw_damping_s_ratio=rng.uniform(0.04, 0.12),
-        slide_feeling_ratio=rng.uniform(0.7, 1.1),
+        slide_feeling_ratio=rng.uniform(0.45, 0.8),
     )
 
 
