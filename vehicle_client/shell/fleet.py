@@ -14,7 +14,7 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Protocol, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -31,7 +31,7 @@ from vehicle_client.shell.fleet_events import (
     Watch,
 )
 from vehicle_client.shell.spool import Spool, SpooledSummary
-from vehicle_client.shell.uplink import CLEAN_AIR, AirFaults, LossyUplink, Uplink
+from vehicle_client.shell.uplink import CLEAN_AIR, AirCounts, AirFaults, LossyUplink, Uplink
 from vehicle_client.simulator.plan import PassagePlan, SensorGrade, draw_plan
 
 if TYPE_CHECKING:
@@ -142,24 +142,25 @@ def draw_visits(plan: FleetPlan) -> tuple[Visit, ...]:
     return tuple(visits)
 
 
-@dataclass(frozen=True, slots=True)
-class Summarised:
-    """What the onboard pipeline made of a trace that was one passage.
+class PassageSummary(Protocol):
+    """What the onboard pipeline made of a trace that was one passage."""
 
-    Attributes:
-        summary: The statistics.
-        left_at_s: When the vehicle left the section, on the clock of the trace.
-    """
+    @property
+    def summary(self) -> KinematicSummary:
+        """The statistics."""
+        ...
 
-    summary: KinematicSummary
-    left_at_s: float
+    @property
+    def left_at_s(self) -> float:
+        """When the vehicle left the section, on the clock of the trace."""
+        ...
 
 
 OpenUplink: TypeAlias = Callable[[], Awaitable[Uplink]]
 OpenCodec: TypeAlias = Callable[[bytes], FrameCodec]
 """Makes the codec of one exchange from the passage's id."""
 Simulate: TypeAlias = "Callable[[RoadSection, PassagePlan], Drive]"
-Summarise: TypeAlias = "Callable[[Trace, RoadSection], Summarised | Rejected]"
+Summarise: TypeAlias = "Callable[[Trace, RoadSection], PassageSummary | Rejected]"
 
 
 def patience_at(speedup_ratio: float) -> Patience:
@@ -271,8 +272,6 @@ class _Fleet:
             patience=self._patience,
         )
         entered_at_s = self._clock.now_s()
-        self._report.vehicles_count += 1
-        self._report.drives[drive.outcome.value] += 1
         self._watch(VehicleEntered(visit.number, entered_at_s, visit.plan.base_friction_mu, friction_mu=drive.label_mu))
         async with self._uplink() as uplink:
             await send_all(exchange.begin(now_s=entered_at_s), uplink)
@@ -287,8 +286,7 @@ class _Fleet:
                 self._spool.keep(replace(spooled, frames_spent_count=record.frames_sent_count))
                 self._waiting[passage_id] = (visit, drive)
                 self._report.spooled_count += 1
-            self._report.add_exchange(record, uplink.counts)
-            self._tell_end(visit, drive, record, from_spool=False)
+            self._end(visit, drive, record, uplink.counts)
 
     async def _report_drive(
         self, exchange: Exchange, uplink: Uplink, drive: Drive, entered_at_s: float
@@ -344,7 +342,6 @@ class _Fleet:
                 await send_all(frames, uplink)
                 await converse(exchange, uplink, self._clock)
                 record = exchange.record()
-                self._report.add_exchange(record, uplink.counts, spent_before_count=entry.frames_spent_count)
             if not record.may_spool:
                 self._spool.drop(entry.passage_id)
                 self._report.delivered_late_count += record.ending is Ending.ACCEPTED
@@ -353,20 +350,24 @@ class _Fleet:
                 self._report.frames_spent_count += 1
             else:
                 self._spool.keep(replace(entry, frames_spent_count=record.frames_sent_count))
-            self._tell_end(*self._waiting[entry.passage_id], record, from_spool=True)
+            visit, drive = self._waiting[entry.passage_id]
+            self._end(visit, drive, record, uplink.counts, spent_before_count=entry.frames_spent_count)
 
-    def _tell_end(self, visit: Visit, drive: Drive, record: ExchangeRecord, *, from_spool: bool) -> None:
-        self._watch(
-            PassageEnded(
-                number=visit.number,
-                at_s=self._clock.now_s(),
-                base_friction_mu=visit.plan.base_friction_mu,
-                friction_mu=drive.label_mu,
-                drive_outcome=drive.outcome.value,
-                record=record,
-                from_spool=from_spool,
-            )
+    def _end(
+        self, visit: Visit, drive: Drive, record: ExchangeRecord, air: AirCounts, *, spent_before_count: int = 0
+    ) -> None:
+        ended = PassageEnded(
+            number=visit.number,
+            at_s=self._clock.now_s(),
+            base_friction_mu=visit.plan.base_friction_mu,
+            friction_mu=drive.label_mu,
+            drive_outcome=drive.outcome.value,
+            record=record,
+            air=air,
+            spent_before_count=spent_before_count,
         )
+        self._report.add(ended)
+        self._watch(ended)
 
     @contextlib.asynccontextmanager
     async def _uplink(self) -> AsyncIterator[LossyUplink]:

@@ -54,7 +54,9 @@ class PassageEnded:
         friction_mu: What its tyres found.
         drive_outcome: How the drive ended.
         record: How the exchange ended.
-        from_spool: Whether a summary was delivered that had waited.
+        air: What the air did to its frames.
+        spent_before_count: Frames of this passage that earlier exchanges had used; above zero, a summary was
+            delivered that had waited in the spool.
     """
 
     number: int
@@ -63,7 +65,13 @@ class PassageEnded:
     friction_mu: float
     drive_outcome: str
     record: ExchangeRecord
-    from_spool: bool = False
+    air: AirCounts
+    spent_before_count: int = 0
+
+    @property
+    def from_spool(self) -> bool:
+        """Whether the summary had waited in the spool."""
+        return self.spent_before_count > 0
 
 
 FleetEvent: TypeAlias = FleetReady | VehicleEntered | VehicleAdvised | PassageEnded
@@ -122,15 +130,13 @@ class FleetReport:
     passage_ids: list[bytes] = field(default_factory=list)
     simulated_s: float = 0.0
 
-    def add_exchange(self, record: ExchangeRecord, air: AirCounts, *, spent_before_count: int = 0) -> None:
-        """Count one exchange, the first of its passage or a later delivery from the spool.
-
-        Args:
-            record: How it went.
-            air: What the air did to its frames.
-            spent_before_count: Frames that earlier exchanges of the same passage had used.
-        """
-        self.frames_sent_count += record.frames_sent_count - spent_before_count
+    def add(self, ended: PassageEnded) -> None:
+        """Count an exchange, the first of its passage or a later delivery from the spool."""
+        record, air = ended.record, ended.air
+        if not ended.from_spool:
+            self.vehicles_count += 1
+            self.drives[ended.drive_outcome] += 1
+        self.frames_sent_count += record.frames_sent_count - ended.spent_before_count
         self.frames_received_count += record.frames_received_count
         self.frames_ignored_count += record.frames_refused_count
         self.retries_count += max(0, record.arrival_tries_count - 1) + max(0, record.report_tries_count - 1)

@@ -6,6 +6,8 @@ Both stand behind one Protocol. `LossyUplink` wraps either and spoils the air on
 from __future__ import annotations
 
 import asyncio
+import contextlib
+from collections.abc import AsyncIterator, Awaitable, Callable
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Protocol
 from urllib.parse import urlsplit
@@ -20,6 +22,7 @@ if TYPE_CHECKING:
 QUEUE_LIMIT_COUNT = 64
 """Frames waiting to be read by one vehicle; an exchange has at most eight, more is somebody's flood."""
 
+HTTP_TIMEOUT_S = 10.0
 FRAMES_MEDIA_TYPE = "application/vnd.roadgrip.frames"
 
 
@@ -300,3 +303,23 @@ def _spoiled(frame: bytes, rng: np.random.Generator) -> bytes:
     changed = bytearray(frame)
     changed[int(rng.integers(len(changed)))] ^= int(rng.integers(1, 256))
     return bytes(changed)
+
+
+@contextlib.asynccontextmanager
+async def uplinks_to(address: UnitAddress) -> AsyncIterator[Callable[[], Awaitable[Uplink]]]:
+    """Yield a function that opens one vehicle's uplink; connections that vehicles share are closed in the end."""
+    if address.scheme == "udp":
+
+        async def open_udp() -> Uplink:
+            return await UdpUplink(address).open()
+
+        yield open_udp
+        return
+    import httpx
+
+    async with httpx.AsyncClient(timeout=HTTP_TIMEOUT_S) as client:
+
+        async def open_http() -> Uplink:
+            return HttpUplink(address, client)
+
+        yield open_http

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from roadgrip.records import KinematicSummary
 from roadgrip.section import RoadSection
 from tests.vehicle_client.shell.air import Unit
 from vehicle_client.estimation.trace import Trace
@@ -66,6 +67,14 @@ def a_drive(section: RoadSection, plan: PassagePlan, *, outcome: DriveOutcome = 
         peak_utilisation_ratio=0.5,
         peak_sideslip_rad=0.02,
     )
+
+
+@dataclass(frozen=True)
+class Summarised:
+    """What a pipeline made of a trace."""
+
+    summary: KinematicSummary
+    left_at_s: float
 
 
 @dataclass

@@ -11,14 +11,13 @@ from roadgrip.errors import ConfigurationError
 from roadgrip.records import VEHICLE_FRAME_BUDGET, Accepted, Arrival, NotCounted, Outcome, Passage, Reason, Rejected
 from roadgrip.section import RoadSection
 from tests.vehicle_client.shell.air import BEND, SUMMARY, Ether, TokenCodec, Unit, bend
-from tests.vehicle_client.shell.cars import WireToUnit, a_drive
+from tests.vehicle_client.shell.cars import Summarised, WireToUnit, a_drive
 from vehicle_client.estimation.trace import Trace
 from vehicle_client.shell.exchange import Ending, Patience
 from vehicle_client.shell.fleet import (
     FleetPlan,
     FleetTools,
     FrictionChange,
-    Summarised,
     draw_visits,
     parse_friction_change,
     run_fleet,
