@@ -364,7 +364,8 @@ def _receipt_to_fields(receipt: Receipt) -> Fields:
         case Rejected(reason, detail):
             fields: Fields = {0: passage_id, 2: REASON_CODES[reason]}
             if detail:
-                fields[3] = detail.encode(errors="replace").decode()[:DETAIL_LIMIT_CHARS]
+                # It may quote what a stranger sent; nothing that a terminal obeys leaves or enters.
+                fields[3] = "".join(c if c.isprintable() else "?" for c in detail[:DETAIL_LIMIT_CHARS])
             return fields
 
 
@@ -376,6 +377,8 @@ def _receipt_from_fields(value: object) -> Receipt:
     else:
         fields = check_keys(value, required=frozenset({0, 2}), optional=frozenset({3}))
         detail = text_in(fields, 3, limit_chars=DETAIL_LIMIT_CHARS, name="the detail") if 3 in fields else ""
+        if not detail.isprintable():
+            raise WireError(Reason.MALFORMED, "the detail is not printable")
         outcome = Rejected(meaning_of(fields[2], _REASONS, name="reason"), detail)
     return Receipt(passage_id=bytes_in(fields, 0, size=PASSAGE_ID_BYTES, name="the passage id"), outcome=outcome)
 
