@@ -82,7 +82,7 @@ types: $(STAMP) ## mypy, strict
 	@$(BIN)/mypy $(CODE)
 
 contracts: $(STAMP) ## import-linter: which package may know which
-	@$(BIN)/lint-imports --no-cache
+	@$(BIN)/lint-imports --no-cache --no-logo
 
 bench: $(STAMP) ## Run the benchmarks; each prints a table and writes JSON
 	@shopt -s nullglob; found=0; \
