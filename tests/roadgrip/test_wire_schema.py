@@ -1,0 +1,76 @@
+"""The published schema and the code say the same, judged by somebody else's CDDL implementation."""
+
+from pathlib import Path
+
+import cbor2
+import pycddl
+import pytest
+from hypothesis import given, settings
+
+from roadgrip.records import Accepted, Message, Receipt
+from roadgrip.wire import Kind, encode_message, kind_of
+from tests.roadgrip.wire_samples import PASSAGE, RECEIPT, SAMPLES, SIGNER, map_offers, messages
+
+SCHEMA_TEXT = (Path(__file__).resolve().parents[2] / "docs" / "wire.cddl").read_text(encoding="utf-8")
+RULES = ("arrival", "map", "advisory", "summary", "receipt-accepted", "receipt-rejected", "beacon")
+
+
+def schema(rule: str) -> pycddl.Schema:
+    """Return the schema with another rule as its root, which is the first one."""
+    return pycddl.Schema(f"start = {rule}\n{SCHEMA_TEXT}")
+
+
+SCHEMAS = {rule: schema(rule) for rule in (*RULES, "wire-message", "signed-message", "protected-header")}
+
+
+def rule_of(message: Message) -> str:
+    if isinstance(message, Receipt):
+        return "receipt-accepted" if isinstance(message.outcome, Accepted) else "receipt-rejected"
+    return kind_of(message).name.lower()
+
+
+@settings(max_examples=50)
+@given(messages)
+def test_every_message_is_as_the_schema_says(message):
+    SCHEMAS[rule_of(message)].validate_cbor(encode_message(message))
+
+
+@settings(max_examples=20)
+@given(map_offers())
+def test_every_map_is_as_the_schema_says(offer):
+    SCHEMAS["map"].validate_cbor(encode_message(offer))
+
+
+@pytest.mark.parametrize("name", SAMPLES)
+def test_a_message_fits_its_own_rule_only(name):
+    payload = encode_message(SAMPLES[name])
+    SCHEMAS["wire-message"].validate_cbor(payload)
+    for rule in RULES:
+        if rule != rule_of(SAMPLES[name]):
+            with pytest.raises(pycddl.ValidationError):
+                SCHEMAS[rule].validate_cbor(payload)
+
+
+@pytest.mark.parametrize("name", SAMPLES)
+def test_a_signed_message_is_as_the_schema_says_inside_and_outside(name):
+    signed = encode_message(SAMPLES[name], signer=SIGNER)
+    SCHEMAS["signed-message"].validate_cbor(signed)
+    SCHEMAS["wire-message"].validate_cbor(signed)
+    protected, _, payload, _ = cbor2.loads(signed).value
+    SCHEMAS["protected-header"].validate_cbor(protected)
+    SCHEMAS[rule_of(SAMPLES[name])].validate_cbor(payload)
+
+
+@pytest.mark.parametrize(
+    ("message", "changes"),
+    [(PASSAGE, {0: b"short"}), (PASSAGE, {1: "ROAD"}), (PASSAGE, {5: -1}), (PASSAGE, {9: 0}), (RECEIPT, {1: 8})],
+)
+def test_the_schema_refuses_what_the_code_refuses(message, changes):
+    fields = {**cbor2.loads(encode_message(message)), **changes}
+    with pytest.raises(pycddl.ValidationError):
+        SCHEMAS[rule_of(message)].validate_cbor(cbor2.dumps(fields, canonical=True))
+
+
+def test_the_schema_has_a_rule_for_every_kind():
+    for kind in Kind:
+        schema(kind.name.lower())
