@@ -1,0 +1,1 @@
+"""All that touches the outside: recordings, the air, the disk, the fleet."""
