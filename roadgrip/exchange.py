@@ -142,7 +142,7 @@ class ExchangeLedger:
         """Start empty.
 
         Args:
-            limit_count: Exchanges that are remembered; one takes about 1 kB.
+            limit_count: Exchanges that are remembered; one takes at most 1.4 kB.
             timeout_s: How long after its last frame; longer than a late delivery takes.
             sent_limit_count: Frames that we may send in one exchange.
             received_limit_count: Different frames that the other side may send in one exchange.
