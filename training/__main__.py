@@ -45,6 +45,7 @@ DEFAULT_SEED = 20_260_701
 DEFAULT_RUNS_COUNT = 250
 DEFAULT_RANDOM_ROADS_COUNT = 120
 DEFAULT_RANDOM_RUNS_COUNT = 4
+DEFAULT_FIT = FitParameters()
 
 app = typer.Typer(
     name="roadgrip-train",
@@ -141,9 +142,9 @@ def fit_command(
     data: RunsFolder,
     *,
     out: Annotated[Path, typer.Option("--out", help="Folder for the trees.")],
-    trees: Trees = FitParameters.trees_count,
-    depth: Depth = FitParameters.depth_count,
-    seed: Annotated[int, typer.Option(min=0, help="Of the split and of the trees.")] = FitParameters.seed,
+    trees: Trees = DEFAULT_FIT.trees_count,
+    depth: Depth = DEFAULT_FIT.depth_count,
+    seed: Annotated[int, typer.Option(min=0, help="Of the split and of the trees.")] = DEFAULT_FIT.seed,
     as_json: AsJson = False,
 ) -> None:
     """Fit boosted trees to nine tenths of the runs and judge them on the rest.
@@ -226,10 +227,9 @@ def default_bundle(
     )
     driven = _drive(design, work / "runs", workers=workers)
     write_runs(driven, work / "all.parquet", description={"design": design.name, "seed": str(seed)})
-    parameters = FitParameters()
-    fitted = _fit(driven, parameters)
+    fitted = _fit(driven, DEFAULT_FIT)
     command = f"roadgrip-train default-bundle --runs {runs} --random-roads {random_roads} --seed {seed}"
-    manifest = _bundle(driven, fitted, out, name=BUNDLE_NAME, command=command, parameters=parameters)
+    manifest = _bundle(driven, fitted, out, name=BUNDLE_NAME, command=command, parameters=DEFAULT_FIT)
     if not as_json:
         _print_outcomes(driven)
     _print_bundle(manifest, out, as_json=as_json)
