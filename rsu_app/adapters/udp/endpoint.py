@@ -40,6 +40,7 @@ class FrameEndpoint(asyncio.DatagramProtocol):
         self._broadcast_address = broadcast_address
         self._transport: asyncio.DatagramTransport | None = None
         self._tasks: set[asyncio.Task[None]] = set()
+        self._closing = False
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Keep the transport that answers go through."""
@@ -59,6 +60,8 @@ class FrameEndpoint(asyncio.DatagramProtocol):
 
     def datagram_received(self, data: bytes, addr: PeerAddress | tuple[str | Any, int]) -> None:
         """Answer a frame."""
+        if self._closing:
+            return
         taken = self._gateway.take(data, via=VIA)
         if taken.replies:
             self.send(taken.replies, addr)
@@ -92,6 +95,7 @@ class FrameEndpoint(asyncio.DatagramProtocol):
 
     async def close(self) -> None:
         """Take no more frames, let passages in work be answered, then release the socket."""
+        self._closing = True
         if self._tasks:
             await asyncio.wait(self._tasks)
         if self._transport is not None:
