@@ -7,8 +7,6 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
-import onnx
-from onnx import TensorProto, helper, numpy_helper
 
 from roadgrip.bundle import MANIFEST_NAME, BundleManifest, Envelope, GoldenVectors, manifest_to_json
 from roadgrip.features import FEATURE_NAMES, FEATURES, TABLE_DIGEST
@@ -26,6 +24,9 @@ def linear_mu(rows: FloatArray, *, weights: Mapping[str, float] = WEIGHTS, bias_
 
 
 def linear_onnx(*, weights: Mapping[str, float] = WEIGHTS, bias_mu: float = BIAS_MU) -> bytes:
+    import onnx
+    from onnx import TensorProto, helper, numpy_helper
+
     column = np.array([[weights.get(name, 0.0)] for name in FEATURE_NAMES], dtype=np.float32)
     graph = helper.make_graph(
         [helper.make_node("Gemm", ["features", "weights", "bias"], ["mu"])],

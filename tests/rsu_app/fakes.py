@@ -43,7 +43,7 @@ class FakeModel:
     """Answers 0.5 plus the mean sideslip, or whatever it is told to answer."""
 
     def __init__(self, manifest: BundleManifest | None = None) -> None:
-        self._manifest = manifest or make_manifest()
+        self._manifest = manifest or make_manifest(model=b"a fake has no file")
         self.error: Exception | None = None
         self.answer_mu: float | None = None
 
@@ -156,8 +156,7 @@ def make_passage(
 ) -> Passage:
     """A passage that can have happened and from which the linear model reads `mu`; different for every seed."""
     rng = np.random.default_rng(seed)
-    duration_s = section.length_m / 15.0
-    count = round(duration_s * 100.0)
+    count = 100
     sideslip = rng.normal(0.0, 0.01, count)
     signals = (
         rng.normal(0.02, 0.01, count),

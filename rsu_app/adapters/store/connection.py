@@ -19,9 +19,11 @@ LOG_LIMIT_BYTES = 16 * 1024 * 1024
 
 def apply_writer_pragmas(connection: sqlite3.Connection) -> None:
     """Set up a connection that writes; the reason stands beside each pragma."""
+    if connection.execute("PRAGMA page_count").fetchone() == (0,):
+        # Lets pruned pages go back to the file system in small portions. It must come before the first page is
+        # written, and would cost a commit at every start if it came again.
+        connection.execute("PRAGMA auto_vacuum = INCREMENTAL")
     for pragma in (
-        # Must come before the first page is written: lets pruned pages go back to the file system in small portions.
-        "auto_vacuum = INCREMENTAL",
         # Readers never wait for the writer, and a commit is one append to one file.
         "journal_mode = WAL",
         # A commit returns after its fsync. With NORMAL a power cut may take acknowledged passages with it.

@@ -1,0 +1,154 @@
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from roadgrip.bundle import MANIFEST_NAME, GoldenVectors, manifest_to_json
+from roadgrip.errors import BundleError, FeatureTableError
+from roadgrip.features import FEATURES
+from rsu_app.adapters.inference import OnnxFrictionModel, load_bundle
+from tests.bundles import MODEL_NAME, linear_mu, linear_onnx, make_bundle, make_manifest
+
+LOW = np.array([f.minimum for f in FEATURES])
+HIGH = np.array([f.maximum for f in FEATURES])
+ROW = np.array(make_manifest().golden.rows[1])
+
+
+@pytest.fixture
+def bundle(tmp_path):
+    make_bundle(tmp_path / "bundle")
+    return tmp_path / "bundle"
+
+
+@pytest.fixture(scope="module")
+def model():
+    content = linear_onnx()
+    return OnnxFrictionModel(make_manifest(model=content), content)
+
+
+@settings(max_examples=40)
+@given(arrays(np.float64, st.tuples(st.integers(1, 5), st.just(len(FEATURES))), elements=st.floats(0.0, 1.0)))
+def test_the_model_answers_one_estimate_per_row(model, shares):
+    rows = LOW + shares * (HIGH - LOW)
+    assert model.estimate_mu(rows) == pytest.approx(linear_mu(rows), abs=1e-6)
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), -float("inf"), 1e300, FEATURES[40].maximum * 1.001])
+def test_a_value_that_no_passage_can_have_never_reaches_the_model(model, value):
+    row = ROW.copy()
+    row[40] = value
+    with pytest.raises(ValueError, match=FEATURES[40].name):
+        model.estimate_mu(np.vstack([ROW, row]))
+
+
+@pytest.mark.parametrize("shape", [(78,), (1, 77), (1, 79)])
+def test_rows_of_another_width_are_refused(model, shape):
+    with pytest.raises(ValueError, match="78 features"):
+        model.estimate_mu(np.zeros(shape))
+
+
+def test_a_bundle_is_loaded_with_its_manifest(bundle):
+    model = load_bundle(bundle)
+    assert model.manifest == make_manifest()
+    assert model.estimate_mu(ROW[None, :]) == pytest.approx(linear_mu(ROW[None, :]), abs=1e-6)
+
+
+def test_a_hidden_file_beside_the_bundle_does_no_harm(bundle):
+    (bundle / ".keep").write_text("")
+    load_bundle(bundle)
+
+
+def rewrite(bundle, **changes):
+    (bundle / MANIFEST_NAME).write_text(manifest_to_json(replace(make_manifest(), **changes)))
+
+
+def test_a_model_changed_by_one_bit_is_refused(bundle):
+    content = bytearray((bundle / MODEL_NAME).read_bytes())
+    content[len(content) // 2] ^= 1
+    (bundle / MODEL_NAME).write_bytes(bytes(content))
+    with pytest.raises(BundleError, match="differs from its digest"):
+        load_bundle(bundle)
+
+
+def test_a_file_that_nobody_vouches_for_is_refused(bundle):
+    (bundle / "extra.bin").write_bytes(b"?")
+    with pytest.raises(BundleError, match=r"extra\.bin"):
+        load_bundle(bundle)
+
+
+def test_a_folder_inside_a_bundle_is_refused(bundle):
+    (bundle / "more").mkdir()
+    with pytest.raises(BundleError, match="no file that belongs"):
+        load_bundle(bundle)
+
+
+def test_a_missing_model_is_refused(bundle):
+    (bundle / MODEL_NAME).unlink()
+    with pytest.raises(BundleError, match="its manifest names"):
+        load_bundle(bundle)
+
+
+def test_a_missing_manifest_is_refused(bundle):
+    (bundle / MANIFEST_NAME).unlink()
+    with pytest.raises(BundleError, match=MANIFEST_NAME):
+        load_bundle(bundle)
+
+
+def test_a_missing_folder_is_refused(tmp_path):
+    with pytest.raises(BundleError, match="cannot be read"):
+        load_bundle(tmp_path / "nowhere")
+
+
+@pytest.mark.parametrize("content", [b"", b"{}", b"\xff\xfe", b"[1, 2", b"null"])
+def test_a_manifest_that_is_none_is_refused(bundle, content):
+    (bundle / MANIFEST_NAME).write_bytes(content)
+    with pytest.raises(BundleError):
+        load_bundle(bundle)
+
+
+def test_a_bundle_for_another_feature_table_is_refused_with_both_digests(bundle):
+    raw = json.loads((bundle / MANIFEST_NAME).read_text())
+    raw["table_digest"] = "0" * 16
+    (bundle / MANIFEST_NAME).write_text(json.dumps(raw))
+    with pytest.raises(FeatureTableError, match="0000000000000000"):
+        load_bundle(bundle)
+
+
+def test_a_model_that_answers_otherwise_than_in_the_laboratory_is_refused(bundle):
+    golden = make_manifest().golden
+    rewrite(bundle, golden=GoldenVectors(rows=golden.rows, mu=(*golden.mu[:-1], golden.mu[-1] + 2e-5)))
+    with pytest.raises(BundleError, match="misses its 4 golden vectors"):
+        load_bundle(bundle)
+
+
+@pytest.mark.parametrize("rows", [((float("nan"),) * 78,), ((1e9,) * 78,)])
+def test_golden_vectors_that_cannot_be_are_refused(bundle, rows):
+    rewrite(bundle, golden=GoldenVectors(rows=rows, mu=(0.5,)))
+    with pytest.raises(BundleError):
+        load_bundle(bundle)
+
+
+@pytest.mark.parametrize("content", [b"", b"not a model", linear_onnx()[:-20]])
+def test_bytes_that_are_no_model_are_refused(content):
+    with pytest.raises(BundleError, match="is no model"):
+        OnnxFrictionModel(make_manifest(model=content), content)
+
+
+def test_a_model_of_another_width_is_refused():
+    from onnx import TensorProto, helper
+
+    graph = helper.make_graph(
+        [helper.make_node("ReduceMean", ["features"], ["mu"], axes=[1])],
+        "narrow",
+        [helper.make_tensor_value_info("features", TensorProto.FLOAT, [None, 3])],
+        [helper.make_tensor_value_info("mu", TensorProto.FLOAT, [None, 1])],
+    )
+    content = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 15)], ir_version=8).SerializeToString()
+    with pytest.raises(BundleError, match="not rows of 78"):
+        OnnxFrictionModel(make_manifest(model=content), content)
