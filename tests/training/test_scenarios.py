@@ -1,0 +1,76 @@
+from __future__ import annotations
+
+from collections import Counter
+from importlib.resources import files
+
+import numpy as np
+import pytest
+
+from roadgrip.section import RoadSection
+from roadgrip.section_file import section_from_json
+from training.random_roads import LENGTH_RANGE_M, RADIUS_RANGE_M, random_section
+from training.scenarios import BASE_FRICTIONS_MU, Design, mixed_design, paper_roads_design, runs_of, shards_of
+from vehicle_client.simulator.plan import SensorGrade
+
+
+@pytest.fixture(scope="module")
+def s_turn() -> RoadSection:
+    return section_from_json((files("roadgrip") / "sections" / "s-turn.json").read_text(encoding="utf-8"))
+
+
+def design_of(section: RoadSection, *, runs_count: int = 25, seed: int = 1) -> Design:
+    return paper_roads_design((section,), runs_count=runs_count, sensor_grade=SensorGrade.IDEAL, seed=seed)
+
+
+def test_the_papers_matrix_has_eleven_frictions_from_a_fifth_to_seven_tenths() -> None:
+    assert BASE_FRICTIONS_MU == (0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5, 0.55, 0.6, 0.65, 0.7)
+
+
+def test_the_shards_of_a_design_hold_every_run_once(s_turn: RoadSection) -> None:
+    design = design_of(s_turn)
+    keys = Counter(run.key for shard in shards_of(design) for run in runs_of(shard))
+    assert len(keys) == design.runs_count == 25 * 11
+    assert set(keys.values()) == {1}
+
+
+def test_a_run_does_not_change_when_the_design_grows(s_turn: RoadSection) -> None:
+    few = {run.key: run.plan for shard in shards_of(design_of(s_turn, runs_count=3)) for run in runs_of(shard)}
+    many = {run.key: run.plan for shard in shards_of(design_of(s_turn, runs_count=40)) for run in runs_of(shard)}
+    assert all(many[key] == plan for key, plan in few.items())
+
+
+def test_another_seed_changes_every_run(s_turn: RoadSection) -> None:
+    one = [run.plan.seed for run in runs_of(shards_of(design_of(s_turn, seed=1))[0])]
+    other = [run.plan.seed for run in runs_of(shards_of(design_of(s_turn, seed=2))[0])]
+    assert not set(one) & set(other)
+
+
+def test_a_shard_of_another_seed_or_grade_has_another_file(s_turn: RoadSection) -> None:
+    automotive = paper_roads_design((s_turn,), runs_count=25, sensor_grade=SensorGrade.AUTOMOTIVE, seed=1)
+    names = {shards_of(design)[0].name for design in (design_of(s_turn), design_of(s_turn, seed=2), automotive)}
+    assert len(names) == 3
+
+
+def test_random_roads_stay_within_the_papers_range_of_risk() -> None:
+    for i in range(60):
+        section = random_section(np.random.default_rng([5, i]), section_id=f"road-{i}")
+        # The spline through the nodes may bend a little more than the design at the ends of an arc.
+        assert LENGTH_RANGE_M[0] - 1.0 <= section.length_m <= LENGTH_RANGE_M[1] + 1.0
+        assert 0.85 * RADIUS_RANGE_M[0] <= section.tightest_radius_m <= RADIUS_RANGE_M[1]
+        assert 20.0 / 3.6 - 0.01 <= section.speed_limit_mps <= 80.0 / 3.6 + 0.01
+
+
+def test_the_random_roads_of_a_design_are_the_same_each_time_and_differ_from_each_other(s_turn: RoadSection) -> None:
+    def versions() -> list[str]:
+        design = mixed_design(
+            (s_turn,),
+            runs_count=1,
+            random_roads_count=8,
+            random_runs_count=1,
+            sensor_grade=SensorGrade.IDEAL,
+            seed=4,
+        )
+        return [road.section.version for road in design.roads]
+
+    assert versions() == versions()
+    assert len(set(versions())) == 9
