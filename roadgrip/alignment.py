@@ -153,9 +153,9 @@ def smoothed_along(values: FloatArray, *, step_m: float, sigma_m: float) -> Floa
             exp(-2 (pi sigma / L)^2).
     """
     n = len(values)
-    reach = min(n - 1, int(np.ceil(4.0 * sigma_m / step_m)))
-    if reach < 1:
+    if n < 2 or sigma_m < 0.1 * step_m:  # a neighbour would weigh less than exp(-50)
         return values.copy()
+    reach = min(n - 1, int(np.ceil(4.0 * sigma_m / step_m)))
     kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) * step_m / sigma_m) ** 2)
     kernel /= kernel.sum()
     before = 2.0 * values[0] - values[reach:0:-1]

@@ -153,7 +153,8 @@ def statistics_of(samples: FloatArray) -> FloatArray:
         message = "statistics of samples that are not finite"
         raise ValueError(message)
     # Sorted first, so that sums do not depend on the order in which the samples came, not even in the last bit.
-    ordered = np.sort(samples)
+    # Adding zero turns -0.0 into 0.0; the two sort as equals and would stay in the order they came.
+    ordered = np.sort(samples) + 0.0
     mean = float(ordered.mean())
     deviation = ordered - mean
     variance = float(np.mean(deviation**2))

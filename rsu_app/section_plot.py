@@ -107,7 +107,15 @@ def draw_section(figure: Any, section: RoadSection) -> None:
     plan.set_xlabel("east of the origin (m)")
     plan.set_ylabel("north of the origin (m)")
     plan.grid(visible=True, alpha=0.3)
-    left.colorbar(dots, ax=plan, location="bottom", label="curvature (1/m): blue turns left, red right", aspect=40)
+    left.colorbar(
+        dots,
+        ax=plan,
+        location="bottom",
+        label="curvature (1/m): blue turns left, red right",
+        aspect=40,
+        ticks=[-limit, 0.0, limit],
+        format="%.4f",
+    )
 
     first = None
     for row, panel in enumerate(panels):
