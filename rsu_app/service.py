@@ -59,23 +59,27 @@ async def _run(settings: Settings) -> None:
         if endpoint is not None:
             stack.push_async_callback(endpoint.close)
         app = create_app(site_of_parts(parts, endpoint=endpoint))
+        host, port = listener.getsockname()[:2]
+
+        def say_serving() -> None:
+            _log.info(
+                "serving",
+                version=software_version(),
+                http=f"http://{f'[{host}]' if ':' in host else host}:{port}",
+                udp=udp_address,
+                sections=list(parts.unit.section_ids),
+                restored_count=restored_count,
+            )
+
         server = HttpServer(
             app,
             connections_limit_count=settings.http.connections_limit_count,
             shutdown_s=settings.http.shutdown_s,
+            on_start=say_serving,
             on_stop=parts.streams.close,
         )
         await stack.enter_async_context(_chores(parts, endpoint, server))
         _stop_on_signals(server)
-        host, port = listener.getsockname()[:2]
-        _log.info(
-            "serving",
-            version=software_version(),
-            http=f"http://{f'[{host}]' if ':' in host else host}:{port}",
-            udp=udp_address,
-            sections=list(parts.unit.section_ids),
-            restored_count=restored_count,
-        )
         await server.serve(sockets=[listener])
         _log.info("stopping")
     _log.info("stopped")

@@ -19,11 +19,18 @@ class HttpServer(uvicorn.Server):
         app: What is served.
         connections_limit_count: Connections at one time; more get 503.
         shutdown_s: How long open requests may take to finish.
+        on_start: Called when requests are taken.
         on_stop: Called before open requests are waited for.
     """
 
     def __init__(
-        self, app: ASGIApp, *, connections_limit_count: int, shutdown_s: int, on_stop: Callable[[], None]
+        self,
+        app: ASGIApp,
+        *,
+        connections_limit_count: int,
+        shutdown_s: int,
+        on_start: Callable[[], None],
+        on_stop: Callable[[], None],
     ) -> None:
         super().__init__(
             uvicorn.Config(
@@ -36,6 +43,7 @@ class HttpServer(uvicorn.Server):
                 timeout_graceful_shutdown=shutdown_s,
             )
         )
+        self._on_start = on_start
         self._on_stop = on_stop
         self.failed = False
 
@@ -48,6 +56,11 @@ class HttpServer(uvicorn.Server):
     def capture_signals(self) -> Iterator[None]:
         """Leave signals alone: uvicorn would raise them again before the database is closed."""
         yield
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Take requests, and say so."""
+        await super().startup(sockets)
+        self._on_start()
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         """End what would outlast every patience, then the connections."""
