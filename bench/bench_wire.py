@@ -1,0 +1,177 @@
+"""What a passage costs on the air, in bytes and frames, and what a message costs a processor, in microseconds.
+
+python bench/bench_wire.py             both tables, and bench/results/wire.json
+python bench/bench_wire.py --sizes     the table of docs/wire.md only
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+
+from roadgrip.features import KINEMATIC_FEATURES, TABLE_DIGEST
+from roadgrip.frames import exchange_id_of, parse_frame, section_key_of, split_into_frames
+from roadgrip.records import (
+    Accepted,
+    Advisory,
+    AdvisoryNotice,
+    AdvisoryReason,
+    Arrival,
+    Beacon,
+    Confidence,
+    FrictionInterval,
+    KinematicSummary,
+    MapOffer,
+    Message,
+    Passage,
+    Receipt,
+)
+from roadgrip.section import RoadSection
+from roadgrip.section_file import section_from_json
+from roadgrip.signing import Signer, Verifier, key_id_of
+from roadgrip.units import kph_to_mps
+from roadgrip.wire import decode_message, encode_message, kind_of
+
+ROOT = Path(__file__).resolve().parents[1]
+ROADS = ("long-turn", "s-turn", "sharp-turn")
+COLUMNS = ("ARRIVAL", "MAP", "ADVISORY", "SUMMARY", "RECEIPT", "BEACON")
+EXCHANGE = COLUMNS[:5]
+"""What one passage sends; a beacon is nobody's."""
+
+_KEY = Ed25519PrivateKey.from_private_bytes(bytes(range(32)))
+SIGNER = Signer(key_id_of(_KEY.public_key()), _KEY)
+VERIFIER = Verifier({SIGNER.key_id: _KEY.public_key()}, required=True)
+
+
+def paper_road(name: str) -> RoadSection:
+    """Return one of the sections that come with the project."""
+    return section_from_json((ROOT / "roadgrip" / "sections" / f"{name}.json").read_text(encoding="utf-8"))
+
+
+def exchange_messages(section: RoadSection) -> dict[str, Message]:
+    """Return the messages of a passage that goes well, and a beacon, by the name of their kind."""
+    passage_id = bytes(range(16))
+    values = np.random.default_rng(1).normal(size=len(KINEMATIC_FEATURES)).tolist()
+    interval = FrictionInterval(0.36, 0.45, 0.405, 0.395, 0.415, 0.957, 57, Confidence.RECOMMENDED, 40.0, 900.0)
+    reason, confidence, speed_mps = AdvisoryReason.FRICTION_INTERVAL, Confidence.RECOMMENDED, kph_to_mps(60.0)
+    messages: list[Message] = [
+        Arrival(passage_id, section.section_id),
+        MapOffer(section, (TABLE_DIGEST,)),
+        AdvisoryNotice(
+            section.section_id,
+            section.version,
+            Advisory(speed_mps, reason, confidence, interval, 600.0),
+            1_770_000_000,
+        ),
+        Passage(
+            passage_id, section.section_id, section.version, KinematicSummary(tuple(values), TABLE_DIGEST, 31.27), 2.35
+        ),
+        Receipt(passage_id, Accepted()),
+        Beacon(section.section_id, section.version, speed_mps, reason, confidence, 600.0),
+    ]
+    return {kind_of(message).name: message for message in messages}
+
+
+def frames_of(message: Message, section: RoadSection, *, signer: Signer | None) -> tuple[bytes, ...]:
+    """Return the frames of a message."""
+    return split_into_frames(
+        kind_of(message),
+        encode_message(message, signer=signer),
+        exchange_id=exchange_id_of(bytes(range(16))),
+        section_key=section_key_of(section.section_id),
+    )
+
+
+def size_table() -> str:
+    """Return the table of bytes and frames for the paper's three roads, as it stands in docs/wire.md.
+
+    Bytes count the frames' headers. The figure after the cross is the number of frames where it is not one.
+    """
+    lines = [
+        f"| road | nodes | signed | {' | '.join(COLUMNS)} | exchange |",
+        f"|---|---|---|{'---|' * len(COLUMNS)}---|",
+    ]
+    for name in ROADS:
+        section = paper_road(name)
+        for signer in (None, SIGNER):
+            frames = {
+                kind: frames_of(message, section, signer=signer) for kind, message in exchange_messages(section).items()
+            }
+            cells = [_cell(frames[kind]) for kind in COLUMNS]
+            whole = [frame for kind in EXCHANGE for frame in frames[kind]]
+            lines.append(
+                f"| {section.name}, {section.length_m:.0f} m | {len(section.nodes_m)} | {'yes' if signer else 'no'} "
+                f"| {' | '.join(cells)} | {sum(map(len, whole))} bytes in {len(whole)} frames |"
+            )
+    return "\n".join(lines) + "\n"
+
+
+def _cell(frames: tuple[bytes, ...]) -> str:
+    size = sum(map(len, frames))
+    return str(size) if len(frames) == 1 else f"{size} × {len(frames)}"
+
+
+def cost_us(work: Callable[[], object], *, rounds_count: int = 7, budget_s: float = 0.05) -> float:
+    """Return what one call costs: the best of some rounds, each of about `budget_s`."""
+    started_s = time.perf_counter()
+    work()
+    calls_count = max(1, int(budget_s / max(1e-7, time.perf_counter() - started_s)))
+    best_s = float("inf")
+    for _ in range(rounds_count):
+        started_s = time.perf_counter()
+        for _ in range(calls_count):
+            work()
+        best_s = min(best_s, time.perf_counter() - started_s)
+    return best_s / calls_count * 1e6
+
+
+def message_costs_us(section: RoadSection) -> dict[str, dict[str, float]]:
+    """Return what the messages of a passage cost, each way, in microseconds."""
+    exchange_id, section_key = exchange_id_of(bytes(range(16))), section_key_of(section.section_id)
+    costs = {}
+    for name, message in exchange_messages(section).items():
+        kind, plain, signed = kind_of(message), encode_message(message), encode_message(message, signer=SIGNER)
+        cut = partial(split_into_frames, kind, plain, exchange_id=exchange_id, section_key=section_key)
+        costs[name] = {
+            "encode": cost_us(partial(encode_message, message)),
+            "and sign": cost_us(partial(encode_message, message, signer=SIGNER)),
+            "cut into frames": cost_us(cut),
+            "parse a frame": cost_us(partial(parse_frame, cut()[0])),
+            "decode": cost_us(partial(decode_message, kind, plain)),
+            "and verify": cost_us(partial(decode_message, kind, signed, verifier=VERIFIER)),
+        }
+    return costs
+
+
+def cost_table(costs: dict[str, dict[str, float]]) -> str:
+    """Return the costs as a table."""
+    steps = list(next(iter(costs.values())))
+    lines = [f"| microseconds | {' | '.join(steps)} |", f"|---|{'---|' * len(steps)}"]
+    lines += [f"| {name} | {' | '.join(f'{row[step]:.1f}' for step in steps)} |" for name, row in costs.items()]
+    return "\n".join(lines) + "\n"
+
+
+def main() -> None:
+    """Print the tables and keep the figures."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser.add_argument("--sizes", action="store_true", help="only the table of docs/wire.md")
+    parser.add_argument("--out", type=Path, default=ROOT / "bench" / "results" / "wire.json")
+    arguments = parser.parse_args()
+    print(size_table())
+    if arguments.sizes:
+        return
+    costs = message_costs_us(paper_road("long-turn"))
+    print(cost_table(costs))
+    arguments.out.parent.mkdir(parents=True, exist_ok=True)
+    arguments.out.write_text(json.dumps({"cost_us": costs}, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
