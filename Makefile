@@ -22,7 +22,8 @@ export UV_LINK_MODE ?= copy
 WORKERS ?= 2
 
 # What exists of the places that hold Python (the checks take the same list everywhere).
-CODE := $(wildcard roadgrip rsu_app vehicle_client training migrations tests bench deploy)
+PLACES := roadgrip rsu_app vehicle_client training migrations tests bench deploy
+CODE := $(foreach place,$(PLACES),$(if $(shell find $(place) -name '*.py' -print -quit 2>/dev/null),$(place)))
 
 .PHONY: help setup demo test test-long test-fast coverage check format-check format lint types contracts bench lock \
         bundle wheel hooks clean
