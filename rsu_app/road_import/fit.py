@@ -125,7 +125,8 @@ def section_of_survey(survey: SurveyLine, request: ImportRequest) -> tuple[RoadS
     step_m = _node_step_m(curvature, length_m=station[-1] - station[0])
     # Knots at equal steps of the grid's station, which is the arc length before smoothing.
     at = np.linspace(station[0], station[-1], max(4, round((station[-1] - station[0]) / step_m) + 1))
-    nodes = np.column_stack([np.interp(at, station, smooth[:, k]) for k in range(3)])
+    # Along straights between grid points nodes would lie up to 1 / (8 R) inside the bend, 4 mm at 30 m: that shows.
+    nodes, _, _ = evaluate(station, smooth[:, :3], second_derivatives(station, smooth[:, :3]), at)
     cross_slope, bank_origin = _cross_slope(
         line,
         smooth,

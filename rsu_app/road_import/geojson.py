@@ -77,7 +77,7 @@ def _limits(properties: Any) -> list[float]:
 
 def _lines(geometry: dict[str, Any]) -> list[list[list[float]]]:
     kind, coordinates = geometry.get("type"), geometry.get("coordinates")
-    if kind not in {"LineString", "MultiLineString"} or not isinstance(coordinates, list):
+    if kind not in ("LineString", "MultiLineString") or not isinstance(coordinates, list):
         raise refusal(f"a road is a LineString or MultiLineString, not {kind!s:.30}")
     lines = [coordinates] if kind == "LineString" else coordinates
     if len(lines) > PIECES_LIMIT_COUNT:

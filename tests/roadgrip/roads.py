@@ -30,7 +30,7 @@ def circle_section(radius_m: float = 100.0, turn_rad: float = 2.0, step_m: float
         "speed_limit_mps": 20.0,
         "cross_slope_ratio": None,
     }
-    return build_section(**{**given, **changes})  # type: ignore[arg-type]
+    return build_section(**{**given, **changes})
 
 
 @st.composite
