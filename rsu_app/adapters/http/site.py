@@ -54,7 +54,7 @@ class Site:
     stream_heartbeat_s: float = 15.0
 
 
-def site_of(request: Request) -> Site:
+async def site_of(request: Request) -> Site:  # a plain function would be sent to a thread, at twice the cost of all
     """Return the site of the application that serves a request."""
     site: Site = request.app.state.site
     return site
