@@ -154,6 +154,14 @@ def _check(section: RoadSection, plan: PassagePlan) -> None:
     if not (0.0 <= plan.approach_m <= 1000.0 and 0.0 <= plan.exit_m <= 1000.0):
         message = "approach and exit are between 0 and 1000 m long"
         raise ValueError(message)
+    known = plan.friction_profile
+    if known is not None:
+        shapes = {np.shape(values) for values in (known.station_m, known.left_mu, known.right_mu)}
+        values = np.concatenate([np.ravel(known.left_mu), np.ravel(known.right_mu)]) * plan.wear_factor
+        increasing = len(shapes) == 1 and bool((np.diff(known.station_m) > 0.0).all())
+        if not increasing or values.size == 0 or not bool(((values >= 0.02) & (values <= 2.0)).all()):
+            message = "a friction profile needs increasing stations and as many frictions, each that of a road"
+            raise ValueError(message)
     if plan.with_gnss and not section.anchors:
         message = f"section {section.section_id!r} has no anchors, so its position on earth is unknown"
         raise SectionError(message)

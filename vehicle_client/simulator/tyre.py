@@ -24,7 +24,7 @@ SPEED_FLOOR_MPS = 0.01
 """Added to the rolling speed in every slip, so that a wheel at rest has one."""
 LOAD_LIMIT_RATIO = 3.5
 """Over the nominal load; beyond it the parabolas of the load would turn down."""
-_NO_SLIP = 1e-12
+_NO_SLIP2 = 1e-24
 
 
 @kernel
@@ -60,32 +60,35 @@ def slip_slope(
     if load <= 0.0:
         return 0.0, 1.0, 1.0, 0.0
 
-    # Both axes are brought to slips of comparable effect.
-    qx, qy = fmx / dfx, fmy / dfy
-    hx = smx / (smx + smy) + qx / (qx + qy)
-    hy = smy / (smx + smy) + qy / (qx + qy)
-    sx, sy = slip_x_ratio / hx, slip_y_ratio / hy
-    s = math.sqrt(sx * sx + sy * sy)
-    if s > _NO_SLIP:
-        c2 = (sx / s) ** 2
-        s2 = (sy / s) ** 2
-    else:
-        c2 = s2 = 0.5
+    # Both axes are brought to slips of comparable effect: hx = smx / (smx + smy) + qx / (qx + qy) with q = fm / df.
+    both = smx + smy
+    cross_x, cross_y = fmx * dfy, fmy * dfx
+    cross = cross_x + cross_y
+    hx = (smx * cross + cross_x * both) / (both * cross)
+    hy = 2.0 - hx
+    inverse = 1.0 / (hx * hy)
+    sx, sy = slip_x_ratio * hy * inverse, slip_y_ratio * hx * inverse
+    # Squares of the direction's cosine and sine; at no slip at all, any direction will do.
+    sx2, sy2 = sx * sx + _NO_SLIP2, sy * sy + _NO_SLIP2
+    s2 = sx2 + sy2
+    share = 1.0 / s2
+    c2, d2 = sx2 * share, sy2 * share
 
-    df = math.sqrt((dfx * hx) ** 2 * c2 + (dfy * hy) ** 2 * s2)
-    fm = math.sqrt(fmx * fmx * c2 + fmy * fmy * s2)
-    sm = math.sqrt((smx / hx) ** 2 * c2 + (smy / hy) ** 2 * s2)
-    z = s / sm
+    df2 = (dfx * hx) ** 2 * c2 + (dfy * hy) ** 2 * d2
+    fm2 = fmx * fmx * c2 + fmy * fmy * d2
+    sm2 = (smx * hy * inverse) ** 2 * c2 + (smy * hx * inverse) ** 2 * d2
+    z = math.sqrt(s2 / sm2)
     if z < 1.0:
-        return df / (1.0 + (z + df * sm / fm - 2.0) * z), hx, hy, z
+        return math.sqrt(df2) / (1.0 + (z + math.sqrt(df2 * sm2 / fm2) - 2.0) * z), hx, hy, z
 
     fsx = kx * load * (tyre.slide_x1_ratio + (tyre.slide_x2_ratio - tyre.slide_x1_ratio) * w)
     fsy = ky * load * (tyre.slide_y1_ratio + (tyre.slide_y2_ratio - tyre.slide_y1_ratio) * w)
     ssx = kx * (tyre.slide_slip_x1_ratio + (tyre.slide_slip_x2_ratio - tyre.slide_slip_x1_ratio) * w)
     ssy = ky * (tyre.slide_slip_y1_ratio + (tyre.slide_slip_y2_ratio - tyre.slide_slip_y1_ratio) * w)
-    fs = math.sqrt(fsx * fsx * c2 + fsy * fsy * s2)
-    ss = math.sqrt((ssx / hx) ** 2 * c2 + (ssy / hy) ** 2 * s2)
-    return _beyond_peak(s, df, fm, sm, fs, ss) / s, hx, hy, z
+    fs = math.sqrt(fsx * fsx * c2 + fsy * fsy * d2)
+    ss = math.sqrt((ssx / hx) ** 2 * c2 + (ssy / hy) ** 2 * d2)
+    s = math.sqrt(s2)
+    return _beyond_peak(s, math.sqrt(df2), math.sqrt(fm2), math.sqrt(sm2), fs, ss) / s, hx, hy, z
 
 
 @kernel
