@@ -19,6 +19,7 @@ from roadgrip.records import (
     FrictionInterval,
     MapOffer,
     NotCounted,
+    QualityFlag,
     Reason,
     Rejected,
 )
@@ -119,6 +120,8 @@ def test_a_sender_that_hangs_up_does_not_lose_its_passage():
         with pytest.raises(asyncio.CancelledError):
             await task
         site.store.gate.set()
+        await asyncio.sleep(0.01)
+        assert site.interval().passages_count == 1
         assert await site.unit.ingest_passage(passage) == Accepted()
         assert site.interval().passages_count == 1
         assert len(site.store.entries) == 1
@@ -173,13 +176,16 @@ def test_a_repetition_is_answered_as_before_even_if_it_would_be_refused_now():
 
 
 @pytest.mark.parametrize("restart", [False, True])
-def test_an_id_used_for_another_passage_is_refused(restart):
+@pytest.mark.parametrize(
+    "changes", [{"seed": 2}, {"duration_s": 13.5}, {"quality": QualityFlag.NO_GNSS}], ids=lambda changes: str(*changes)
+)
+def test_an_id_used_for_another_passage_is_refused(restart, changes):
     async def story():
         site = Site()
         await site.unit.ingest_passage(make_passage(SECTION, seed=1, passage_id=b"a" * 16))
         if restart:
             site = site.restarted()
-        other = make_passage(SECTION, seed=2, passage_id=b"a" * 16)
+        other = make_passage(SECTION, **({"seed": 1, "passage_id": b"a" * 16} | changes))
         assert reason_of(await site.unit.ingest_passage(other)) is Reason.PASSAGE_ID_REUSED
         assert len(site.store.entries) == 1
 

@@ -86,6 +86,14 @@ def test_statistics_that_cannot_be_true_together_are_refused(name, value, law):
     assert law in refusal.detail
 
 
+@pytest.mark.parametrize(("share", "possible"), [(0.49, True), (0.51, False)])
+def test_a_deviation_is_at_most_half_the_range(share, possible):
+    values = list(make_passage(SECTION).summary.values)
+    low, high = values[NAMES.index("speed_min_mps")], values[NAMES.index("speed_max_mps")]
+    values[NAMES.index("speed_std_mps")] = share * (high - low)
+    assert (reason_of(make_passage(SECTION, values=tuple(values))) is None) is possible
+
+
 def test_statistics_shifted_by_one_place_are_refused():
     values = make_passage(SECTION).summary.values
     assert reason_of(make_passage(SECTION, values=(values[-1], *values[:-1]))) is Reason.OUT_OF_RANGE

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import subprocess
 import sys
 from pathlib import Path
@@ -15,18 +16,16 @@ from rsu_app.adapters.store.recovery import damage
 ROOT = Path(__file__).resolve().parents[4]
 
 
-def ingest_and_kill(database_path, *, first_seed, acknowledged_count):
-    """Return the ids that were acknowledged before the kill, which comes after so many of them at least."""
-    command = [
-        sys.executable,
-        "-m",
-        "tests.rsu_app.adapters.store.ingest_until_killed",
-        str(database_path),
-        str(first_seed),
-    ]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, cwd=ROOT) as process:
+def ingest_and_kill(database_path, *, first_number, acknowledged_count, wait_s):
+    """Return the ids that were acknowledged before the kill: so many at least, and what came while we waited."""
+    command = [sys.executable, "-m", "tests.rsu_app.adapters.store.ingest_until_killed"]
+    with subprocess.Popen(
+        [*command, str(database_path), str(first_number)], stdout=subprocess.PIPE, cwd=ROOT
+    ) as process:
         assert process.stdout is not None
         lines = [process.stdout.readline() for _ in range(acknowledged_count)]
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(wait_s)
         process.kill()
         lines += process.stdout.readlines()
     # Only a line that ends was acknowledged.
@@ -47,13 +46,16 @@ def survive(database_path, rng, *, rounds_count):
     acknowledged: set[bytes] = set()
     for number in range(rounds_count):
         acknowledged |= ingest_and_kill(
-            database_path, first_seed=1_000_000 * number, acknowledged_count=int(rng.integers(20, 200))
+            database_path,
+            first_number=20_000 * number,
+            acknowledged_count=int(rng.integers(200, 1000)),
+            wait_s=float(rng.uniform(0.0, 0.02)),
         )
         assert damage(database_path) is None
         stored = stored_ids(database_path)
         assert acknowledged <= set(stored)
         assert len(stored) == len(set(stored))
-    assert len(acknowledged) >= 20 * rounds_count
+    assert len(acknowledged) >= 200 * rounds_count
 
 
 @pytest.mark.system
