@@ -170,9 +170,13 @@ def load_sections(settings: Settings) -> tuple[RoadSection, ...]:
     """Return the sections in the order of the settings.
 
     Raises:
-        ConfigurationError: A file cannot be read or holds no section; the message names it.
+        ConfigurationError: A file cannot be read or holds no section, or a section is given twice; the message names it.
     """
-    return tuple(_section(chosen.file) for chosen in settings.sections)
+    sections = tuple(_section(chosen.file) for chosen in settings.sections)
+    ids = [section.section_id for section in sections]
+    if twice := sorted({section_id for section_id in ids if ids.count(section_id) > 1}):
+        raise ConfigurationError(f"sections given twice: {', '.join(twice)}")
+    return sections
 
 
 def load_keys(settings: Settings) -> tuple[Signer | None, Verifier | None]:

@@ -11,7 +11,6 @@ messages, and turns what the unit says into frames again::
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import structlog
@@ -74,21 +73,24 @@ class Taken(NamedTuple):
 NOTHING = Taken()
 
 
-@dataclass(slots=True)
 class RefusalBudget:
-    """How many rejections may still be sent: a flood of rubbish must not make the unit a source of another flood."""
+    """How many rejections may still be sent: a flood of rubbish must not make the unit a source of another flood.
 
-    limit_per_s: float
-    _left: float = field(init=False)
-    _at_s: float = field(default=float("-inf"), init=False)
+    Args:
+        limit_per_s: Rejections in a second, as many may be saved up; 0 sends none.
+    """
 
-    def __post_init__(self) -> None:
-        self._left = self.limit_per_s
+    def __init__(self, limit_per_s: float) -> None:
+        self._limit_per_s = limit_per_s
+        self._capacity = max(1.0, limit_per_s) if limit_per_s > 0.0 else 0.0
+        self._left = self._capacity
+        self._at_s: float | None = None
 
     def take(self, *, now_s: float) -> bool:
-        """Return whether one more may be sent, and count it if so. A second's worth may be saved up."""
-        self._left = min(max(1.0, self.limit_per_s), self._left + (now_s - self._at_s) * self.limit_per_s)
+        """Return whether one more may be sent, and count it if so."""
+        elapsed_s = 0.0 if self._at_s is None else now_s - self._at_s
         self._at_s = now_s
+        self._left = min(self._capacity, self._left + elapsed_s * self._limit_per_s)
         if self._left < 1.0:
             return False
         self._left -= 1.0

@@ -180,6 +180,11 @@ def test_rejections_are_sent_so_many_a_second_and_all_counted():
     assert under_test.count("roadgrip_refusals_withheld_total") == 16
 
 
+def test_a_unit_that_is_told_to_send_no_rejections_sends_none():
+    under_test = make_unit(section=SECTION, refusals_per_s=0.0)
+    assert answers(under_test, arrival_frame(section_id="elsewhere")) == []
+
+
 def test_what_other_units_say_is_dropped_in_silence():
     under_test = make_unit(section=SECTION)
     for out in (*under_test.gateway.beacons(), *under_test.gateway.guidance(SECTION.section_id)):

@@ -1,6 +1,7 @@
 import asyncio
 from typing import Any
 
+import pytest
 from starlette.types import Message, Receive, Scope, Send
 
 from rsu_app.adapters.http.guards import BodyGuard
@@ -45,8 +46,9 @@ def test_a_body_in_pieces_reaches_the_route_whole():
     assert sent[1]["body"] == b"abcd"
 
 
-def test_a_body_that_says_it_is_too_long_is_not_read():
-    assert sent_by([], headers=[(b"content-length", b"11")])[0]["status"] == 413
+@pytest.mark.parametrize("announced", [b"11", b"9" * 5000])
+def test_a_body_that_says_it_is_too_long_is_not_read(announced):
+    assert sent_by([], headers=[(b"content-length", announced)])[0]["status"] == 413
 
 
 def test_a_body_that_becomes_too_long_is_refused():

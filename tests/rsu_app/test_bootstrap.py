@@ -1,0 +1,133 @@
+"""What settings become, with the real store and the real model on a disk."""
+
+import asyncio
+import math
+from pathlib import Path
+
+import httpx
+import pytest
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat, PublicFormat
+
+from roadgrip.errors import ConfigurationError
+from roadgrip.records import Advisory, FrictionInterval
+from rsu_app.adapters.http.app import create_app
+from rsu_app.bootstrap import Parts, build, load_keys, load_sections, observe, site_of_parts
+from rsu_app.observability import Metrics
+from rsu_app.settings import load_settings
+from tests.bundles import make_bundle
+from tests.rsu_app.fakes import make_passage
+from tests.rsu_app.sites import passage_json
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    make_bundle(tmp_path / "bundle")
+    return tmp_path
+
+
+def parts_of(folder: Path, more: str = "") -> Parts:
+    config = folder / "rsu.toml"
+    config.write_text(f'{more}\n[database]\npath = "rsu.sqlite3"\n[model]\nbundle_path = "bundle"\n', encoding="utf-8")
+    settings = load_settings(config)
+    sections = load_sections(settings)
+    metrics = Metrics(version="0", section_ids=[s.section_id for s in sections])
+    return build(settings, metrics=metrics, sections=sections)
+
+
+async def posted(parts: Parts, count: int) -> list[httpx.Response]:
+    app = create_app(site_of_parts(parts, endpoint=None))
+    (section, *_) = load_sections(parts.settings)
+    async with httpx.AsyncClient(transport=httpx.ASGITransport(app=app), base_url="http://unit") as client:
+        return [
+            await client.post(
+                f"/v1/sections/{section.section_id}/passages",
+                json=passage_json(make_passage(section, seed=seed, mu=0.45)),
+            )
+            for seed in range(count)
+        ]
+
+
+def test_a_restart_restores_the_window(folder):
+    async def scenario() -> None:
+        first = parts_of(folder)
+        assert {answer.status_code for answer in await posted(first, 12)} == {200}
+        before = first.unit.current_interval("long-turn")
+        await first.unit.close()
+        second = parts_of(folder)
+        assert await second.unit.restore() == 12
+        after = second.unit.current_interval("long-turn")
+        assert isinstance(before, FrictionInterval)
+        assert isinstance(after, FrictionInterval)
+        assert (before.median_mu, before.passages_count) == (after.median_mu, after.passages_count)
+        await second.unit.close()
+
+    asyncio.run(scenario())
+
+
+def test_gauges_show_the_interval_and_nothing_where_there_is_none(folder):
+    async def scenario() -> None:
+        parts = parts_of(folder)
+
+        def shown(metric: str) -> float:
+            value = parts.metrics.registry.get_sample_value(metric, {"section": "long-turn"})
+            assert value is not None
+            return value
+
+        await observe(parts)
+        assert math.isnan(shown("roadgrip_interval_mu_new"))
+        assert shown("roadgrip_window_passages") == 0
+        await posted(parts, 12)
+        await observe(parts)
+        assert shown("roadgrip_interval_mu_new") == pytest.approx(0.5, abs=1e-5)
+        assert shown("roadgrip_window_passages") == 12
+        assert parts.metrics.registry.get_sample_value("roadgrip_store_passages") == 12
+        assert parts.metrics.registry.get_sample_value("roadgrip_ready") == 1
+        await parts.unit.close()
+
+    asyncio.run(scenario())
+
+
+def test_each_section_has_its_own_winter_speed(folder):
+    async def scenario() -> None:
+        sections = '[[sections]]\nfile = "s-turn"\nwinter_speed_mps = 11.2\n[[sections]]\nfile = "long-turn"\n'
+        parts = parts_of(folder, sections)
+        advised = {}
+        for section_id in ("s-turn", "long-turn"):
+            advisory = parts.unit.current_advisory(section_id)
+            assert isinstance(advisory, Advisory)
+            advised[section_id] = round(advisory.speed_mps * 3.6)
+        assert advised == {"s-turn": 40, "long-turn": 60}
+        await parts.unit.close()
+
+    asyncio.run(scenario())
+
+
+def test_a_section_given_twice_is_refused(folder):
+    with pytest.raises(ConfigurationError, match="twice"):
+        parts_of(folder, '[[sections]]\nfile = "s-turn"\n[[sections]]\nfile = "s-turn"\n')
+
+
+def test_keys_are_read_from_their_files(folder):
+    key = Ed25519PrivateKey.generate()
+    (folder / "unit.pem").write_bytes(key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()))
+    (folder / "trusted").mkdir()
+    public = key.public_key().public_bytes(Encoding.PEM, PublicFormat.SubjectPublicKeyInfo)
+    (folder / "trusted" / "fleet.pem").write_bytes(public)
+    config = folder / "keys.toml"
+    config.write_text(
+        '[signing]\nkey_file = "unit.pem"\ntrusted_keys_folder = "trusted"\nrequired = true\n', encoding="utf-8"
+    )
+    signer, verifier = load_keys(load_settings(config))
+    assert signer is not None
+    assert verifier is not None
+    assert set(verifier.public_keys) == {signer.key_id}
+    assert verifier.required
+
+
+def test_a_folder_without_keys_cannot_be_required(folder):
+    (folder / "trusted").mkdir()
+    config = folder / "keys.toml"
+    config.write_text('[signing]\ntrusted_keys_folder = "trusted"\nrequired = true\n', encoding="utf-8")
+    with pytest.raises(ConfigurationError, match="no public key"):
+        load_keys(load_settings(config))
