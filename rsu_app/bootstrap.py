@@ -170,7 +170,7 @@ def load_sections(settings: Settings) -> tuple[RoadSection, ...]:
     """Return the sections in the order of the settings.
 
     Raises:
-        ConfigurationError: A file cannot be read or holds no section, or a section is given twice; the message names it.
+        ConfigurationError: A file cannot be read or holds no section, or a section is given twice.
     """
     sections = tuple(_section(chosen.file) for chosen in settings.sections)
     ids = [section.section_id for section in sections]
