@@ -1,0 +1,65 @@
+from __future__ import annotations
+
+import asyncio
+
+import pytest
+
+from roadgrip.errors import BundleError, StoreFullError
+from roadgrip.records import (
+    Accepted,
+    AdvisoryReason,
+    Reason,
+)
+from tests.bundles import make_manifest
+from tests.rsu_app.fakes import FakeModel, make_passage
+from tests.rsu_app.usecases.site import SECTION, Site, reason_of
+
+
+def test_without_a_model_passages_are_refused_and_winter_speed_is_advised():
+    site = Site(without_model=True)
+    outcome = asyncio.run(site.unit.ingest_passage(make_passage(SECTION)))
+    assert reason_of(outcome) is Reason.NO_MODEL
+    assert reason_of(outcome).may_retry
+    assert site.advisory().reason is AdvisoryReason.WINTER_SPEED_NO_MODEL
+
+
+def test_a_model_that_fails_refuses_the_passage_and_nothing_else():
+    site = Site()
+    site.model.error = BundleError("the session broke")
+    assert reason_of(asyncio.run(site.unit.ingest_passage(make_passage(SECTION)))) is Reason.NO_MODEL
+    site.model.error = None
+    assert asyncio.run(site.unit.ingest_passage(make_passage(SECTION))) == Accepted()
+
+
+def test_switching_the_model_changes_the_bundle_behind_new_estimates_and_is_written_down():
+    async def story():
+        site = Site()
+        await site.ingest_many(2)
+        candidate = FakeModel(make_manifest(name="newer", weights={"sideslip_mean_rad": 1.0, "steer_mean_rad": 1e-9}))
+        await site.unit.switch_model(candidate)
+        await site.ingest_many(1, first_seed=10)
+        assert site.unit.model_manifest == candidate.manifest
+        assert site.store.entries[-1].estimate.bundle_id == candidate.manifest.bundle_id
+        assert site.interval().passages_count == 3
+        assert [(event.kind, event.subject) for event in site.store.ledger] == [
+            ("model_live", candidate.manifest.bundle_id)
+        ]
+
+    asyncio.run(story())
+
+
+def test_a_candidate_that_misses_its_golden_vectors_leaves_the_incumbent_alone():
+    site = Site()
+    candidate = FakeModel()
+    candidate.answer_mu = 0.3
+    with pytest.raises(BundleError, match="golden"):
+        asyncio.run(site.unit.switch_model(candidate))
+    assert asyncio.run(site.unit.ingest_passage(make_passage(SECTION))) == Accepted()
+    assert asyncio.run(site.unit.readiness()).ready
+
+
+def test_a_ledger_that_cannot_be_written_does_not_stop_a_model():
+    site = Site(without_model=True)
+    site.store.error = StoreFullError("the disk is full")
+    asyncio.run(site.unit.switch_model(FakeModel()))
+    assert site.unit.model_manifest is not None

@@ -1,0 +1,94 @@
+from __future__ import annotations
+
+import asyncio
+
+import pytest
+
+from rsu_app.usecases import UnitLimits
+from tests.rsu_app.fakes import FakeClock, make_passage
+from tests.rsu_app.usecases.site import SECTION, Site
+
+
+@pytest.mark.parametrize("offline_s", [0.0, 600.0])
+def test_a_restart_restores_the_window(offline_s):
+    async def story():
+        site = Site()
+        await site.ingest_many(12, mu=0.4)
+        await site.unit.ingest_passage(make_passage(SECTION, seed=99, mu=0.4, age_s=3300.0))
+        # The machine was off: its monotonic clock starts anew.
+        later = FakeClock(monotonic_s=5.0, unix_s=site.clock.now_unix_s + offline_s)
+        again = Site(store=site.store, clock=later)
+        assert await again.unit.restore() == (13 if offline_s == 0.0 else 12)
+        assert again.interval().newest_age_s == pytest.approx(offline_s)
+        assert again.interval().median_mu == pytest.approx(0.4, abs=1e-6)
+
+    asyncio.run(story())
+
+
+def test_restoring_twice_counts_once():
+    async def story():
+        site = Site()
+        await site.ingest_many(3)
+        assert await site.unit.restore() == 0
+        again = site.restarted()
+        assert await again.unit.restore() == 3
+        assert await again.unit.restore() == 0
+        assert again.interval().passages_count == 3
+
+    asyncio.run(story())
+
+
+def test_what_did_not_count_does_not_count_after_a_restart():
+    async def story():
+        site = Site()
+        site.model.answer_mu = 5.0
+        await site.ingest_many(3)
+        site.model.answer_mu = None
+        again = site.restarted()
+        assert await again.unit.restore() == 0
+        assert len(site.store.entries) == 3
+
+    asyncio.run(story())
+
+
+def test_a_unit_that_boots_in_1970_restores_once_its_clock_is_set():
+    async def story():
+        site = Site()
+        await site.ingest_many(12, mu=0.4)
+        clock = FakeClock(monotonic_s=5.0, unix_s=60.0)
+        again = Site(store=site.store, clock=clock)
+        assert await again.unit.restore() == 0
+        await again.ingest_many(1, mu=0.4, first_seed=50)
+        assert again.interval().passages_count == 1
+        clock.now_unix_s = site.clock.now_unix_s + 30.0
+        await again.unit.prune()
+        assert again.interval().passages_count == 13
+        await again.unit.prune()
+        assert again.interval().passages_count == 13
+
+    asyncio.run(story())
+
+
+def test_passages_from_the_future_do_not_enter_a_restored_window():
+    async def story():
+        site = Site()
+        await site.ingest_many(3)
+        clock = FakeClock(unix_s=site.clock.now_unix_s - 600.0)
+        again = Site(store=site.store, clock=clock)
+        assert await again.unit.restore() == 0
+
+    asyncio.run(story())
+
+
+def test_pruning_keeps_the_budget_and_does_not_trust_a_clock_that_just_stepped():
+    async def story():
+        site = Site(limits=UnitLimits(retention_s=86_400.0, rows_count=5))
+        await site.unit.restore()
+        await site.ingest_many(7)
+        assert await site.unit.prune() == 2
+        site.clock.now_unix_s += 10 * 86_400.0
+        assert await site.unit.prune() == 0
+        site.clock.advance(120.0)
+        assert await site.unit.prune() == 5
+
+    asyncio.run(story())
