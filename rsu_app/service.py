@@ -65,7 +65,7 @@ async def _run(settings: Settings) -> None:
             _log.info(
                 "serving",
                 version=software_version(),
-                http=f"http://{f'[{host}]' if ':' in host else host}:{port}",
+                http=f"http://{_address(host, port)}",
                 udp=udp_address,
                 sections=list(parts.unit.section_ids),
                 restored_count=restored_count,
@@ -107,7 +107,7 @@ async def _endpoint(parts: Parts) -> tuple[FrameEndpoint | None, str]:
         broadcast_address=(udp.broadcast_host, udp.broadcast_port) if udp.broadcast_host else None,
         receive_buffer_bytes=udp.receive_buffer_bytes,
     )
-    return endpoint, f"{host}:{port}"
+    return endpoint, _address(host, port)
 
 
 @asynccontextmanager
@@ -160,3 +160,7 @@ def _stop_on_signals(server: HttpServer) -> None:
     loop = asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, server.stop)
+
+
+def _address(host: str, port: int) -> str:
+    return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
