@@ -109,7 +109,7 @@ def signature_structure(*, protected: bytes, external_aad: bytes, payload: bytes
 
 def sign(payload: bytes, *, signer: Signer, external_aad: bytes) -> bytes:
     """Return the payload inside a tagged COSE_Sign1. Ed25519 is deterministic: the same in gives the same out."""
-    protected = strict_dumps({_HEADER_ALGORITHM: _ALGORITHM_EDDSA, _HEADER_KEY_ID: signer.key_id})
+    protected = _protected_header(signer.key_id)
     signature = signer.private_key.sign(
         signature_structure(protected=protected, external_aad=external_aad, payload=payload)
     )
@@ -158,7 +158,12 @@ def _parts(message: object) -> tuple[bytes, bytes, bytes, bytes]:
     if unprotected or len(signature) != SIGNATURE_BYTES:
         raise WireError(Reason.MALFORMED, "a COSE_Sign1 here has an empty unprotected header and a 64 byte signature")
     match strict_loads(protected):
-        case {1: -8, 4: bytes(key_id), **others} if not others and 0 < len(key_id) <= KEY_ID_LIMIT_BYTES:
+        # Compared as bytes, since -8.0 equals -8 and True equals 1.
+        case {4: bytes(key_id)} if 0 < len(key_id) <= KEY_ID_LIMIT_BYTES and protected == _protected_header(key_id):
             return protected, key_id, payload, signature
         case _:
             raise WireError(Reason.MALFORMED, "the protected header must be EdDSA and the id of a key")
+
+
+def _protected_header(key_id: bytes) -> bytes:
+    return strict_dumps({_HEADER_ALGORITHM: _ALGORITHM_EDDSA, _HEADER_KEY_ID: key_id})

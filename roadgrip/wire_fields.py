@@ -95,7 +95,8 @@ def check_keys(fields: object, *, required: frozenset[int], optional: frozenset[
     if type(fields) is not dict:
         raise WireError(Reason.MALFORMED, "a message is a map")
     keys = fields.keys()
-    if keys == required or (required <= keys <= required | optional):
+    # True, 1.0 and the simple value 1 all equal the key 1, and would be other spellings of the same message.
+    if required <= keys <= required | optional and all(type(key) is int for key in keys):
         return fields
     raise WireError(Reason.MALFORMED, f"the message has the keys {sorted(map(repr, keys))[:20]}")
 

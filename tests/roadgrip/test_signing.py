@@ -136,6 +136,8 @@ PROTECTED = cbor2.dumps({1: -8, 4: SIGNER.key_id}, canonical=True)
         [cbor2.dumps({1: -8, 4: bytes(33)}), {}, b"\xa0", bytes(64)],
         [cbor2.dumps({1: -8, 4: "text"}), {}, b"\xa0", bytes(64)],
         [cbor2.dumps({1: -8, 2: [4], 4: SIGNER.key_id}), {}, b"\xa0", bytes(64)],
+        [cbor2.dumps({1: -8.0, 4: SIGNER.key_id}, canonical=True), {}, b"\xa0", bytes(64)],
+        [cbor2.dumps({True: -8, 4: SIGNER.key_id}), {}, b"\xa0", bytes(64)],
         [cbor2.dumps({4: SIGNER.key_id, 1: -8}), {}, b"\xa0", bytes(64)],
         [PROTECTED + b"\x00", {}, b"\xa0", bytes(64)],
     ],

@@ -217,6 +217,9 @@ MALFORMED_BYTES = {
     "keys that are text": cbor2.dumps({"0": PASSAGE_ID, "1": "road"}, canonical=True),
     "an unknown key": cbor2.dumps({0: PASSAGE_ID, 1: "road", 9: 0}, canonical=True),
     "a missing key": cbor2.dumps({0: PASSAGE_ID}, canonical=True),
+    "a boolean for a key": cbor2.dumps({False: PASSAGE_ID, 1: "road"}),
+    "a float for a key": b"\xa2\x00\x50" + PASSAGE_ID + b"\xf9\x3c\x00\x64road",
+    "a simple value for a key": b"\xa2\x00\x50" + PASSAGE_ID + b"\xe1\x64road",
     "a short passage id": cbor2.dumps({0: PASSAGE_ID[:15], 1: "road"}, canonical=True),
     "an empty section id": cbor2.dumps({0: PASSAGE_ID, 1: ""}, canonical=True),
     "a section id in capitals": cbor2.dumps({0: PASSAGE_ID, 1: "Road"}, canonical=True),
@@ -306,6 +309,7 @@ def test_a_number_is_a_whole_number(key, value):
         (MAP_OFFER, {8: cbor2.CBORTag(77, b"")}, Reason.MALFORMED),  # one node, 61 slopes
         (MAP_OFFER, {8: cbor2.CBORTag(77, bytes(6 * 60))}, Reason.OUT_OF_RANGE),  # all nodes in one place
         (MAP_OFFER, {8: cbor2.CBORTag(77, bytes(6 * 1000))}, Reason.OUT_OF_RANGE),
+        (MAP_OFFER, {8: cbor2.CBORTag(77, struct.pack("<3h", 30_000, 0, 0) * 999)}, Reason.OUT_OF_RANGE),  # 30 km
         (MAP_OFFER, {9: cbor2.CBORTag(77, bytes(2 * 61))}, Reason.MALFORMED),  # zero is said by leaving it out
         (MAP_OFFER, {9: cbor2.CBORTag(77, b"\xff\x7f" * 61)}, Reason.OUT_OF_RANGE),
         (MAP_OFFER, {11: 0}, Reason.OUT_OF_RANGE),
@@ -440,7 +444,24 @@ cbor_values = st.recursive(
 )
 
 
-@given(st.sampled_from(sorted(SAMPLES)), st.dictionaries(st.integers(0, 14), cbor_values, min_size=1, max_size=3))
+cbor_keys = st.one_of(
+    st.integers(0, 14),
+    st.booleans(),
+    st.integers(0, 14).map(float),
+    st.integers(0, 14).map(cbor2.CBORSimpleValue),
+)
+
+
+@given(st.sampled_from(sorted(SAMPLES)), st.data())
+def test_a_key_that_only_equals_the_right_one_is_refused(name, data):
+    fields = fields_of(SAMPLES[name])
+    key = data.draw(st.sampled_from(sorted(fields)))
+    twin = data.draw(st.sampled_from([float(key), cbor2.CBORSimpleValue(key), *([bool(key)] if key < 2 else [])]))
+    spelt = {twin if k == key else k: v for k, v in fields.items()}
+    assert reason_for(kind_of(SAMPLES[name]), cbor2.dumps(spelt, canonical=True)) is Reason.MALFORMED
+
+
+@given(st.sampled_from(sorted(SAMPLES)), st.dictionaries(cbor_keys, cbor_values, min_size=1, max_size=3))
 def test_strange_fields_are_refused_or_are_another_message_in_its_only_spelling(name, changes):
     payload = cbor2.dumps({**fields_of(SAMPLES[name]), **changes}, canonical=True)
     try:
