@@ -1,0 +1,261 @@
+"""How the demo looks in a terminal: a live view, or plain lines where nobody watches."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Protocol
+
+from rich.console import Console, Group
+from rich.live import Live
+from rich.panel import Panel
+from rich.progress_bar import ProgressBar
+from rich.table import Table
+from rich.text import Text
+
+from deploy.demo.story import WORN_FACTOR
+from roadgrip.records import VEHICLE_FRAME_BUDGET, Confidence
+from roadgrip.units import mps_to_kph
+from vehicle_client.shell.views import advice_text
+
+if TYPE_CHECKING:
+    from deploy.demo.story import Check, Story
+
+CHART_COLUMNS = 72
+CHART_ROWS = 15
+CHART_TOP_MU = 0.65
+LAST_COUNT = 6
+PLAIN_EVERY_FRAC = 0.1
+
+CONFIDENCE_STYLE = {
+    Confidence.INSUFFICIENT: "bright_black",
+    Confidence.PROVISIONAL: "yellow",
+    Confidence.RECOMMENDED: "green",
+}
+
+
+class View(Protocol):
+    """Whatever shows a demo."""
+
+    def step(self, text: str) -> contextlib.AbstractContextManager[None]:
+        """Show that something takes a while, until the context ends."""
+        ...
+
+    def say(self, text: str) -> None:
+        """Show a line that stays."""
+        ...
+
+    def watching(self, story: Story) -> contextlib.AbstractContextManager[None]:
+        """Show the fleet until the context ends."""
+        ...
+
+    def refresh(self) -> None:
+        """Show what is new in the story that is being watched."""
+        ...
+
+
+class PlainView:
+    """Lines, for logs and for those who want to read them later."""
+
+    def __init__(self, console: Console) -> None:
+        """Write to a console."""
+        self._console = console
+        self._story: Story | None = None
+        self._said_count = -1
+
+    @contextlib.contextmanager
+    def step(self, text: str) -> Iterator[None]:
+        """Say what begins."""
+        self.say(f"{text} ...")
+        yield
+
+    def say(self, text: str) -> None:
+        """Write a line."""
+        self._console.print(text, highlight=False, soft_wrap=True)
+
+    @contextlib.contextmanager
+    def watching(self, story: Story) -> Iterator[None]:
+        """Write a line for every tenth of the fleet."""
+        self._story = story
+        yield
+        self._story = None
+
+    def refresh(self) -> None:
+        """Write a line if another tenth of the fleet has come."""
+        story = self._story
+        if story is None or not story.started:
+            return
+        part = int(len(story.vehicles) / story.vehicles_count / PLAIN_EVERY_FRAC)
+        if part > self._said_count:
+            self._said_count = part
+            self.say(story_line(story))
+
+
+class LiveView:
+    """A picture that changes in place."""
+
+    def __init__(self, console: Console) -> None:
+        """Draw on a console that is a terminal."""
+        self._console = console
+        self._live: Live | None = None
+        self._story: Story | None = None
+
+    @contextlib.contextmanager
+    def step(self, text: str) -> Iterator[None]:
+        """Spin until it is done."""
+        with self._console.status(text):
+            yield
+        self.say(f"[green]✓[/] {text}")
+
+    def say(self, text: str) -> None:
+        """Write a line that stays."""
+        self._console.print(text, highlight=False)
+
+    @contextlib.contextmanager
+    def watching(self, story: Story) -> Iterator[None]:
+        """Draw, and leave the last state on the screen."""
+        self._story = story
+        with Live(picture_of(story), console=self._console, refresh_per_second=4) as live:
+            self._live = live
+            yield
+            self.refresh()
+        self._live = self._story = None
+
+    def refresh(self) -> None:
+        """Draw anew."""
+        if self._live is not None and self._story is not None:
+            self._live.update(picture_of(self._story))
+
+
+def story_line(story: Story) -> str:
+    """Return the state of things in one line."""
+    account = story.account
+    now = story.readings[-1] if story.readings else None
+    return (
+        f"{len(story.vehicles):4d}/{story.vehicles_count} vehicles, road {story.base_friction_mu:.2f}, "
+        f"{account.accepted_count} acknowledged, frames {account.air.missing_count} lost "
+        f"({account.recovered_count} recovered); " + (advice_text(now.advisory) if now else "no advice yet")
+    )
+
+
+def picture_of(story: Story) -> Group:
+    """Return the whole live view."""
+    grid = Table.grid(expand=True, padding=(0, 2))
+    grid.add_column(ratio=1)
+    grid.add_column(ratio=1)
+    grid.add_row(_traffic(story), _estimates(story))
+    bar = Table.grid(padding=(0, 2))
+    bar.add_row(
+        ProgressBar(total=story.vehicles_count, completed=len(story.vehicles), width=48),
+        f"{len(story.vehicles)}/{story.vehicles_count} vehicles",
+        _clock(story.readings[-1].at_s) if story.readings else "the simulator compiles; the first time takes a minute",
+    )
+    return Group(
+        bar,
+        Panel(Group(chart(story), _legend()), title="friction: what the unit publishes against the truth"),
+        Panel(_advice(story), title="what drivers are told"),
+        grid,
+    )
+
+
+def chart(story: Story, *, columns_count: int = CHART_COLUMNS, rows_count: int = CHART_ROWS) -> Text:
+    """Return estimates, interval and truth over time as text, newest at the right end of what is drawn.
+
+    Time fills the width: the fleet's whole run once it is over, growing until then.
+    """
+    readings = story.readings
+    end_s = max([r.at_s for r in readings] + [v.at_s for v in story.vehicles.values()] + [1.0])
+    step_mu = CHART_TOP_MU / rows_count
+
+    def column_of(at_s: float) -> int:
+        return min(columns_count - 1, int(at_s / end_s * columns_count))
+
+    def row_of(mu: float) -> int:
+        return min(rows_count - 1, max(0, int(mu / step_mu)))
+
+    cells = [[(" ", "")] * columns_count for _ in range(rows_count)]
+    for reading in readings:
+        x = column_of(reading.at_s)
+        for y in range(row_of(WORN_FACTOR * reading.base_friction_mu), row_of(reading.base_friction_mu) + 1):
+            cells[y][x] = ("░", "bright_black")
+    for reading in readings:
+        interval = reading.advisory.interval
+        if interval is not None:
+            x, style = column_of(reading.at_s), CONFIDENCE_STYLE[reading.advisory.confidence]
+            for y in range(row_of(interval.mu_low), row_of(interval.mu_new) + 1):
+                cells[y][x] = ("█", style)
+    for vehicle, estimate in story.estimated():
+        if estimate.mu is not None:
+            mark = ("•", "bold white") if estimate.counted else ("x", "bright_red")
+            cells[row_of(estimate.mu)][column_of(vehicle.at_s)] = mark
+    text = Text()
+    for y in reversed(range(rows_count)):
+        text.append(f"{(y + 0.5) * step_mu:5.2f} ")
+        for symbol, style in cells[y]:
+            text.append(symbol, style=style or None)
+        text.append("\n")
+    return text.append(" " * 6 + f"0:00{_clock(end_s):>{columns_count - 4}}")
+
+
+def _legend() -> Text:
+    text = Text(" " * 6)
+    text.append("░", style="bright_black")
+    text.append(" truth, worn to new tyres   ")
+    for confidence, style in CONFIDENCE_STYLE.items():
+        text.append("█", style=style)
+        text.append(f" {confidence.value}   ")
+    return text.append("• estimate   x not counted")
+
+
+def _advice(story: Story) -> Text:
+    if not story.readings:
+        return Text("nothing yet")
+    advisory = story.readings[-1].advisory
+    return Text(advice_text(advisory), style=CONFIDENCE_STYLE[advisory.confidence])
+
+
+def _traffic(story: Story) -> Table:
+    account, air = story.account, story.account.air
+    off_the_road = account.drives.total() - account.drives["completed"]
+    table = Table.grid(padding=(0, 1))
+    for name, value in (
+        ("road now (new tyre)", f"{story.base_friction_mu:.2f}"),
+        ("on their way", f"{story.on_the_road_count}"),
+        ("acknowledged", f"{account.accepted_count} ({account.counted_count} counted)"),
+        ("slid off the road", f"{off_the_road}"),
+        ("frames in the air", f"{air.offered_count}"),
+        ("lost or damaged", f"{air.missing_count} ({account.recovered_count} recovered)"),
+        ("doubled, late", f"{air.doubled_count}, {air.delayed_count}"),
+        ("most frames of a vehicle", f"{account.budget_peak_count} of {VEHICLE_FRAME_BUDGET}"),
+    ):
+        table.add_row(name, value)
+    return table
+
+
+def _estimates(story: Story) -> Table:
+    table = Table("vehicle", "its tyres found", "the unit estimated", "", box=None, padding=(0, 1))
+    for vehicle, estimate in story.estimated()[-LAST_COUNT:]:
+        table.add_row(
+            str(vehicle.number + 1),
+            f"{vehicle.friction_mu:.3f}",
+            "-" if estimate.mu is None else f"{estimate.mu:.3f}",
+            "" if estimate.counted else "not counted",
+        )
+    return table
+
+
+def checks_table(checks: list[Check]) -> Table:
+    """Return the promises and whether they were kept."""
+    table = Table("promise", "kept", "figures", title="What the demo promised", title_justify="left")
+    for check in checks:
+        table.add_row(check.promise, "[green]yes[/]" if check.kept else "[bold red]NO[/]", check.detail)
+    return table
+
+
+def advised_kph(story: Story) -> list[tuple[float, float]]:
+    """Return when which speed was advised, in km/h."""
+    return [(r.at_s, mps_to_kph(r.advisory.speed_mps)) for r in story.readings]
+
+
+def _clock(at_s: float) -> str:
+    return f"{int(at_s // 3600)}:{int(at_s % 3600 // 60):02d} h"
