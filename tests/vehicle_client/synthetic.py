@@ -7,14 +7,20 @@ from dataclasses import replace
 
 import numpy as np
 
+from roadgrip.geodesy import anchors_of, frame_of
 from roadgrip.section import BankOrigin, RoadSection, build_section
 from roadgrip.units import GRAVITY_MPS2, SAMPLE_S, FloatArray
 from vehicle_client.estimation.filters import integral
-from vehicle_client.estimation.trace import Trace
+from vehicle_client.estimation.trace import GnssTrack, Trace
 from vehicle_client.estimation.vehicle_geometry import XC90, VehicleGeometry
 
 Curvature = Callable[[FloatArray], FloatArray]
 STEP_M = 0.05
+
+
+def clock_s(count: int) -> FloatArray:
+    """Return the times of so many samples."""
+    return np.arange(count, dtype=np.float64) * SAMPLE_S
 
 
 def bump(station_m: FloatArray, *, start_m: float, length_m: float, peak_1pm: float) -> FloatArray:
@@ -92,7 +98,7 @@ def motion(
     wheels = np.column_stack([speed_mps - yaw_rate_radps * y for y in (half, -half, half, -half)])
     wheels[:, :2] = wheels[:, :2] * np.cos(steer_rad)[:, None] + (across * np.sin(steer_rad))[:, None]
     return Trace(
-        time_s=np.arange(n) * SAMPLE_S,
+        time_s=clock_s(n),
         accel_x_mps2=accel_x,
         accel_y_mps2=accel_y_mps2 * np.cos(tilt) + GRAVITY_MPS2 * np.sin(tilt),
         roll_rate_radps=np.gradient(tilt, SAMPLE_S),
@@ -116,7 +122,7 @@ def drive_over(
 ) -> tuple[Trace, FloatArray]:
     """Return a drive along the centre line without sideslip, and its true stations."""
     samples = int((approach_m + length_m + exit_m) / (speed_mps - abs(swing_mps)) / SAMPLE_S) + 200
-    time = np.arange(samples) * SAMPLE_S
+    time = clock_s(samples)
     speed = speed_mps + swing_mps * np.sin(2.0 * np.pi * time / 12.0)
     station = integral(speed) - approach_m
     keep = station <= length_m + exit_m
@@ -138,3 +144,31 @@ def with_noise(trace: Trace, rng: np.random.Generator) -> Trace:
         steer_rad=trace.steer_rad + rng.normal(0.0, 0.0005, n),
         wheel_speed_mps=trace.wheel_speed_mps * (1.0 + rng.normal(0.0, 0.003, (n, 4))),
     )
+
+
+def surveyed(section: RoadSection) -> RoadSection:
+    """Return the section laid on a real map, so that receivers can find it."""
+    placed = replace(section, crs="EPSG:25833", origin_m=(250_908.0, 6_834_042.0, 900.0))
+    return replace(placed, anchors=anchors_of(placed))
+
+
+def fixes_of(
+    section: RoadSection,
+    time_s: FloatArray,
+    station_m: FloatArray,
+    *,
+    rng: np.random.Generator,
+    lateral_m: float = 0.0,
+    noise_m: float = 0.0,
+) -> GnssTrack:
+    """Return ten fixes a second of a drive along the centre line, or beside it; straight on beyond the ends."""
+    profile = section.profile
+    at, station = time_s[::10], station_m[::10]
+    nearest = np.clip(station, 0.0, section.length_m)
+    heading = np.interp(nearest, profile.station_m, profile.heading_rad)
+    along = station - nearest
+    x = np.interp(nearest, profile.station_m, profile.x_m) + along * np.cos(heading) - lateral_m * np.sin(heading)
+    y = np.interp(nearest, profile.station_m, profile.y_m) + along * np.sin(heading) + lateral_m * np.cos(heading)
+    x, y = x + rng.normal(0.0, noise_m, len(x)), y + rng.normal(0.0, noise_m, len(y))
+    lat, lon = frame_of(section).to_lat_lon(x, y)
+    return GnssTrack(time_s=at, lat_deg=lat, lon_deg=lon, accuracy_m=np.full(len(at), max(0.5, noise_m)))

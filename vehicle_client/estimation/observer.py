@@ -34,7 +34,9 @@ class ObserverParameters:
         sigma_steer_rate_radps: Of its rate.
         sigma_sideslip_rate_radps: Of the sideslip rate.
         sigma_sideslip_accel_radps2: Of its rate.
-        roll_crossover_hz: Where slow roll from the accelerometer meets fast roll from the gyro; our choice.
+        roll_crossover_hz: Where slow roll from the accelerometer meets fast roll from the gyro. The paper gives no
+            number; of those between 0.01 and 10 Hz this one left the least sideslip error on simulated drives with
+            automotive sensors.
     """
 
     alpha_0_1ps: float = 15.0
@@ -49,7 +51,7 @@ class ObserverParameters:
     sigma_steer_rate_radps: float = 0.08
     sigma_sideslip_rate_radps: float = 0.05
     sigma_sideslip_accel_radps2: float = 0.3
-    roll_crossover_hz: float = 0.05
+    roll_crossover_hz: float = 0.1
 
 
 PAPER_PARAMETERS = ObserverParameters()

@@ -121,6 +121,9 @@ def match_by_dead_reckoning(line: DrivenLine, time_s: FloatArray, section: RoadS
     if driven >= length - EDGE_TOLERANCE_M:
         found = _aligned(line, section, length_m=length)
         if found.convincing and _waypoints_passed(line, found, section, length_m=length):
+            missing = max(-found.shift_m, found.shift_m + found.scale_ratio * length - driven)
+            if missing > EDGE_TOLERANCE_M:
+                return Rejected(Reason.PASSAGE_ABORTED, f"the trace lacks {missing:.0f} m at an end of the section")
             return section_match(
                 time_s,
                 (line.distance_m - found.shift_m) / found.scale_ratio,
@@ -170,7 +173,7 @@ def _aligned(line: DrivenLine, section: RoadSection, *, length_m: float) -> _Ali
         normal = jacobian.T @ jacobian + prior
         gradient = jacobian.T @ residual + prior @ np.array([0.0, scale - 1.0, 0.0, drift])
         step = np.linalg.solve(normal + 1e-9 * np.trace(normal) * np.eye(4) / 1e6, -gradient)
-        shift = float(np.clip(shift + np.clip(step[0], -10.0, 10.0), -EDGE_TOLERANCE_M, last))
+        shift = float(np.clip(shift + np.clip(step[0], -10.0, 10.0), -length_m / 2.0, last))
         scale = float(np.clip(scale + step[1], 0.97, 1.03))
         offset += float(step[2])
         drift += float(step[3])

@@ -18,13 +18,14 @@ if TYPE_CHECKING:
 
 ACCURACY_LIMIT_M = 25.0
 """Fixes that call themselves worse are left out."""
-LATERAL_LIMIT_M = 12.0
-"""Median distance from the mapped lane; two lanes and a few metres of receiver."""
+APART_LIMIT_M = 15.0
+"""A fix may lie so far from where the vehicle is on the map; two lanes and a few metres of receiver and odometer."""
+AGREEING_MIN_FRAC = 0.7
+"""So many fixes must lie that near."""
 NEAR_M = 40.0
 """Fixes farther than this from the centre line are not on it."""
 BEYOND_M = 60.0
 """How far the road is continued straight beyond its ends."""
-STATION_RESIDUAL_LIMIT_M = 12.0
 EDGE_TOLERANCE_M = 8.0
 FIXES_MIN_COUNT = 5
 COVERAGE_MIN_FRAC = 0.3
@@ -69,49 +70,56 @@ def match_by_gnss(
     good = _good(gnss) & (gnss.time_s >= time_s[0]) & (gnss.time_s <= time_s[-1])
     if good.sum() < FIXES_MIN_COUNT:
         return None
+    length, profile = section.length_m, section.profile
     x, y = frame_of(section).to_local(gnss.lat_deg[good], gnss.lon_deg[good])
-    station, lateral = _projected(x, y, section.profile)
+    station, lateral = _projected(x, y, profile)
     travelled = np.interp(gnss.time_s[good], time_s, line.distance_m)
-    length = section.length_m
     near = (np.abs(lateral) <= NEAR_M) & (station > -BEYOND_M) & (station < length + BEYOND_M)
     near = _one_pass(near, station, travelled)
-    station, lateral, travelled = station[near], lateral[near], travelled[near]
-    within = (station >= 0.0) & (station <= length)
+    within = near & (station >= 0.0) & (station <= length)
     if within.sum() < FIXES_MIN_COUNT:
         return Rejected(Reason.WRONG_ROAD, "the fixes stay away from the section")
-    aside = float(np.median(np.abs(lateral[within])))
-    if aside > LATERAL_LIMIT_M:
-        return Rejected(Reason.WRONG_ROAD, f"the fixes lie {aside:.0f} m beside the section")
-    if float(np.polyfit(travelled - travelled.mean(), station, 1)[0]) < -TREND_MIN_RATIO:
+    if float(np.polyfit(travelled[near] - travelled[near].mean(), station[near], 1)[0]) < -TREND_MIN_RATIO:
         return Rejected(Reason.WRONG_ROAD, "driven against the direction of the section")
-    shift, scale, residual = _odometer_fit(station, travelled)
-    driven = shift + scale * line.distance_m
-    problem = _incompleteness(driven, residual, length_m=length)
-    if problem:
-        return Rejected(Reason.PASSAGE_ABORTED, problem)
-    if float(np.ptp(station[within])) < COVERAGE_MIN_FRAC * length:
+    shift, scale = _odometer_fit(station[near], travelled[near])
+    reckoned = shift + scale * travelled
+    along = (reckoned >= 0.0) & (reckoned <= length)
+    if along.sum() < FIXES_MIN_COUNT or float(np.ptp(reckoned[along])) < COVERAGE_MIN_FRAC * length:
         return None
-    agreeing = np.abs(residual) <= STATION_RESIDUAL_LIMIT_M
+    # How far every fix of the passage lies from where the odometer puts the vehicle on the map.
+    apart = np.hypot(
+        x - np.interp(reckoned, profile.station_m, profile.x_m), y - np.interp(reckoned, profile.station_m, profile.y_m)
+    )[along]
+    agreeing_frac = float(np.mean(apart <= APART_LIMIT_M))
+    stations = shift + scale * line.distance_m
+    refusal = _refusal(stations, lateral[along], agreeing_frac=agreeing_frac, length_m=length)
+    if refusal is not None:
+        return refusal
     return section_match(
         time_s,
-        driven,
+        stations,
         length_m=length,
-        confidence_frac=float(np.mean(agreeing[within])),
-        # Receiver errors wander over minutes: within one passage they are hardly independent.
-        position_std_m=float(np.hypot(np.std(residual[agreeing]), np.median(gnss.accuracy_m[good][near]))),
+        confidence_frac=agreeing_frac,
+        # Receiver errors wander over minutes: within one passage they hardly average out.
+        position_std_m=float(np.hypot(np.median(np.abs(station - reckoned)[along]), np.median(gnss.accuracy_m[good]))),
         method=MatchMethod.GNSS,
     )
 
 
-def _incompleteness(driven_m: FloatArray, residual_m: FloatArray, *, length_m: float) -> str:
-    """Return what a pass lacks, or the empty string."""
-    if float(np.quantile(np.abs(residual_m), 0.8)) > STATION_RESIDUAL_LIMIT_M:
-        return "the vehicle turned round or left the section on the way"
-    if driven_m[0] > EDGE_TOLERANCE_M:
-        return f"the trace begins {driven_m[0]:.0f} m after the start"
-    if driven_m[-1] < length_m - EDGE_TOLERANCE_M:
-        return f"the trace ends {length_m - driven_m[-1]:.0f} m before the end"
-    return ""
+def _refusal(
+    stations_m: FloatArray, lateral_m: FloatArray, *, agreeing_frac: float, length_m: float
+) -> Rejected | None:
+    """Return why a fitted drive is no passage of the section, if it is none."""
+    if agreeing_frac < AGREEING_MIN_FRAC:
+        aside = float(np.quantile(np.abs(lateral_m), 0.7))
+        if aside > APART_LIMIT_M:
+            return Rejected(Reason.WRONG_ROAD, f"the fixes lie {aside:.0f} m beside the section")
+        return Rejected(Reason.PASSAGE_ABORTED, "the vehicle turned round or left the section on the way")
+    if stations_m[0] > EDGE_TOLERANCE_M:
+        return Rejected(Reason.PASSAGE_ABORTED, f"the trace begins {stations_m[0]:.0f} m after the start")
+    if stations_m[-1] < length_m - EDGE_TOLERANCE_M:
+        return Rejected(Reason.PASSAGE_ABORTED, f"the trace ends {length_m - stations_m[-1]:.0f} m before the end")
+    return None
 
 
 def _good(gnss: GnssTrack) -> BoolArray:
@@ -150,8 +158,8 @@ def _one_pass(near: BoolArray, station_m: FloatArray, travelled_m: FloatArray) -
     return mask
 
 
-def _odometer_fit(station_m: FloatArray, travelled_m: FloatArray) -> tuple[float, float, FloatArray]:
-    """Return shift, scale and residuals of station = shift + scale * travelled, outliers weighted down.
+def _odometer_fit(station_m: FloatArray, travelled_m: FloatArray) -> tuple[float, float]:
+    """Return shift and scale of station = shift + scale * travelled, outliers weighted down.
 
     References:
         Iteratively reweighted least squares with Huber's weights; the scale has a prior around 1.
@@ -170,5 +178,4 @@ def _odometer_fit(station_m: FloatArray, travelled_m: FloatArray) -> tuple[float
         gain = float(np.sum(weight * (at - centre) * (station_m - at)))
         scale = 1.0 + gain / (power + prior)
         shift = float(np.average(station_m - scale * at, weights=weight))
-    residual = station_m - shift - scale * at
-    return shift - scale * middle, scale, residual
+    return shift - scale * middle, scale

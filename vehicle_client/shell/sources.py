@@ -208,7 +208,7 @@ def trace_of_samples(
         TraceError: Times are missing, run backwards or span more than four hours; there are fewer than two samples.
     """
     _check_times(time_s)
-    whole: BoolArray = np.isfinite(values).all(axis=1)
+    whole: BoolArray = np.asarray(np.isfinite(values).all(axis=1))
     steps = np.diff(time_s)
     if np.abs(steps - SAMPLE_S).max() <= _ON_GRID_S:
         time, resampled, valid = time_s, np.where(whole[:, None], values, 0.0), whole

@@ -1,0 +1,93 @@
+"""Smoothing without delay."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import signal
+
+from tests.vehicle_client.synthetic import clock_s
+from vehicle_client.estimation.filters import (
+    EDGE_SAMPLES_COUNT,
+    integral,
+    lowpass_taps,
+    rate_of_change,
+    slow_part,
+    smoothed,
+)
+
+seeds = st.integers(0, 2**32 - 1)
+
+
+def test_the_taps_are_those_of_a_hamming_windowed_sinc():
+    assert np.allclose(lowpass_taps(), signal.firwin(31, 10.0, fs=100.0, window="hamming"), atol=1e-15)
+
+
+def test_smoothing_is_the_filter_run_forward_and_backward():
+    noise = np.random.default_rng(1).normal(size=500).cumsum()
+    reference = signal.filtfilt(lowpass_taps(), [1.0], noise, padtype="odd", padlen=120)
+    assert np.allclose(smoothed(noise), reference, atol=1e-12)
+
+
+@given(value=st.floats(-1e6, 1e6), count=st.integers(EDGE_SAMPLES_COUNT + 1, 300))
+def test_a_constant_stays_constant_up_to_its_ends(value, count):
+    assert np.allclose(smoothed(np.full(count, value)), value, rtol=1e-12, atol=1e-9)
+
+
+@given(level=st.floats(-100, 100), slope=st.floats(-1, 1))
+def test_a_straight_line_stays_straight_up_to_its_ends(level, slope):
+    line = level + slope * np.arange(200.0)
+    assert np.allclose(smoothed(line), line, atol=1e-9)
+
+
+@given(seed=seeds)
+def test_smoothing_knows_no_direction_of_time(seed):
+    noise = np.random.default_rng(seed).normal(size=120)
+    assert np.allclose(smoothed(noise[::-1]), smoothed(noise)[::-1], atol=1e-12)
+
+
+@given(seed=seeds)
+def test_smoothing_is_linear_and_keeps_the_mirror(seed):
+    a, b = np.random.default_rng(seed).normal(size=(2, 100))
+    assert np.allclose(smoothed(2.0 * a - 3.0 * b), 2.0 * smoothed(a) - 3.0 * smoothed(b), atol=1e-12)
+    assert np.array_equal(smoothed(-a), -smoothed(a))
+
+
+@pytest.mark.parametrize(("frequency_hz", "gain"), [(1.0, 1.0), (10.0, 0.25), (20.0, 0.0)])
+def test_slow_motion_passes_and_shaking_does_not(frequency_hz, gain):
+    wave = np.sin(2.0 * np.pi * frequency_hz * np.arange(1000) / 100.0)
+    inside = slice(100, -100)
+    measured = smoothed(wave)[inside] @ wave[inside] / (wave[inside] @ wave[inside])
+    assert measured == pytest.approx(gain, abs=0.01)
+
+
+def test_too_few_samples_are_refused():
+    with pytest.raises(ValueError, match="too few"):
+        smoothed(np.zeros(EDGE_SAMPLES_COUNT))
+
+
+@given(value=st.floats(-100, 100), count=st.integers(1, 200), crossover_hz=st.floats(0.01, 10.0))
+def test_the_slow_part_of_a_constant_is_the_constant(value, count, crossover_hz):
+    assert np.allclose(slow_part(np.full(count, value), crossover_hz=crossover_hz), value, atol=1e-8)
+
+
+def test_at_the_crossover_half_of_a_wave_is_slow():
+    wave = np.cos(2.0 * np.pi * 0.5 * np.arange(20_000) / 100.0)
+    inside = slice(5_000, 15_000)
+    slow = slow_part(wave, crossover_hz=0.5)
+    assert slow[inside] @ wave[inside] / (wave[inside] @ wave[inside]) == pytest.approx(0.5, abs=1e-3)
+
+
+@given(seed=seeds)
+def test_the_slow_part_solves_its_equations(seed):
+    noise = np.random.default_rng(seed).normal(size=50)
+    w = 1.0 / (2.0 * np.pi * 1.0 * 0.01) ** 2
+    difference = np.diff(np.eye(50), axis=0)
+    expected = np.linalg.solve(np.eye(50) + w * difference.T @ difference, noise)
+    assert np.allclose(slow_part(noise, crossover_hz=1.0), expected, atol=1e-9)
+
+
+def test_derivative_and_integral_of_a_parabola():
+    time = clock_s(300)
+    assert np.allclose(rate_of_change(time**2)[1:-1], 2.0 * time[1:-1])
+    assert np.allclose(integral(2.0 * time), time**2)

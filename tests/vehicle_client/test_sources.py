@@ -1,0 +1,191 @@
+"""Recorded drives in and out."""
+
+import gzip
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+
+from roadgrip.errors import TraceError
+from roadgrip.records import QualityFlag
+from tests.vehicle_client.synthetic import clock_s, drive_over, fixes_of, road, s_turn, surveyed
+from vehicle_client.estimation.trace import Trace
+from vehicle_client.shell.sources import (
+    CHANNELS,
+    Channel,
+    ColumnMapping,
+    read_recording,
+    read_trace_csv,
+    trace_of_samples,
+    write_trace_csv,
+)
+
+TRACE, STATION = drive_over(s_turn)
+ARRAYS = [f.name for f in fields(Trace) if f.name not in {"gnss", "quality", "stability_active"}]
+
+
+def rows(count=400, *, rate_hz=100.0):
+    time = np.arange(count, dtype=np.float64) / rate_hz
+    return time, np.column_stack([np.sin(time + i) for i in range(len(CHANNELS))])
+
+
+@pytest.mark.parametrize("name", ["drive.csv", "drive.csv.gz"])
+def test_a_trace_comes_back_to_the_last_bit(tmp_path, name):
+    valid = TRACE.valid.copy()
+    valid[500:520] = False
+    section = surveyed(road(s_turn))
+    trace = replace(
+        TRACE,
+        valid=valid,
+        stability_active=STATION > 300.0,
+        gnss=fixes_of(section, TRACE.time_s + 0.0013, STATION, rng=np.random.default_rng(1)),
+    )
+    write_trace_csv(tmp_path / name, trace)
+    back = read_trace_csv(tmp_path / name)
+    for array in ARRAYS:
+        assert np.array_equal(getattr(back, array)[valid], getattr(trace, array)[valid]), array
+    assert np.array_equal(back.valid, valid)
+    assert back.stability_active is not None
+    assert np.array_equal(back.stability_active, STATION > 300.0)
+    for array in ("time_s", "lat_deg", "lon_deg", "accuracy_m"):
+        assert np.array_equal(getattr(back.gnss, array), getattr(trace.gnss, array)), array
+
+
+def test_the_same_trace_gives_the_same_file(tmp_path):
+    for name in ("a.csv.gz", "b.csv.gz"):
+        write_trace_csv(tmp_path / name, TRACE)
+    assert (tmp_path / "a.csv.gz").read_bytes() == (tmp_path / "b.csv.gz").read_bytes()
+
+
+def test_columns_in_any_order_and_strangers_are_fine(tmp_path):
+    time, values = rows(200)
+    names = ["note", *reversed(CHANNELS), "time_s"]
+    lines = [",".join(names)]
+    lines += [
+        ",".join(["7", *map(repr, v[::-1].tolist()), repr(t)]) for t, v in zip(time.tolist(), values, strict=True)
+    ]
+    (tmp_path / "x.csv").write_text("\n".join(lines) + "\n")
+    assert np.array_equal(read_trace_csv(tmp_path / "x.csv").wheel_speed_mps, values[:, 5:])
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("time_s\n0\n", "no column accel_x_mps2"),
+        ("time_s,a\n0\n", "line 2: 1 cells under 2 columns"),
+        ("time_s,a\n0,fast\n", "line 2"),
+        ("", "no column time_s"),
+        (",".join(["time_s", *CHANNELS]) + "\n", "at least two samples"),
+    ],
+)
+def test_what_is_no_trace_is_refused_with_the_place(tmp_path, text, message):
+    (tmp_path / "x.csv").write_text(text)
+    with pytest.raises(TraceError, match=message):
+        read_trace_csv(tmp_path / "x.csv")
+
+
+def test_bytes_that_are_no_text_are_refused(tmp_path):
+    (tmp_path / "x.csv").write_bytes(b"\xff\xfe\x00\x80")
+    (tmp_path / "x.csv.gz").write_bytes(gzip.compress(b"time_s\n1\n")[:-9])
+    for name in ("x.csv", "x.csv.gz"):
+        with pytest.raises(TraceError, match="no CSV"):
+            read_trace_csv(tmp_path / name)
+
+
+# Resampling ----------------------------------------------------------------------------------------------------------
+
+
+def test_samples_on_the_grid_are_kept_as_they_are():
+    time, values = rows()
+    trace = trace_of_samples(time, values)
+    assert np.array_equal(trace.accel_x_mps2, values[:, 0])
+    assert trace.valid.all()
+
+
+def test_a_silent_sensor_makes_missing_samples():
+    time, values = rows()
+    values[100:110, 3] = np.nan
+    trace = trace_of_samples(time, values)
+    assert np.flatnonzero(~trace.valid).tolist() == list(range(100, 110))
+
+
+@pytest.mark.parametrize("rate_hz", [25.0, 50.0, 104.0, 200.0])
+def test_other_rates_are_resampled(rate_hz):
+    time, values = rows(int(5 * rate_hz), rate_hz=rate_hz)
+    trace = trace_of_samples(time, values)
+    assert trace.valid.all()
+    assert np.abs(trace.steer_rad - np.sin(trace.time_s + 4)).max() < 1e-3
+
+
+def test_jitter_is_no_gap():
+    time, values = rows()
+    time = time + np.random.default_rng(1).uniform(-0.003, 0.003, len(time))
+    values = np.column_stack([np.sin(time + i) for i in range(len(CHANNELS))])
+    trace = trace_of_samples(time, values)
+    assert trace.valid.all()
+    assert np.abs(trace.accel_x_mps2 - np.sin(trace.time_s)).max() < 1e-3
+
+
+def test_a_hole_in_the_recording_is_masked():
+    time, values = rows()
+    keep = (time < 1.0) | (time > 1.5)
+    trace = trace_of_samples(time[keep], values[keep])
+    missing = trace.time_s[~trace.valid]
+    assert (missing.min(), missing.max()) == pytest.approx((1.0, 1.5), abs=0.011)
+    assert trace.samples_count == 400
+
+
+def test_a_clock_that_jumps_ahead_leaves_a_gap():
+    time, values = rows()
+    trace = trace_of_samples(np.where(time < 2.0, time, time + 3.0), values)
+    assert trace.samples_count == 700
+    assert (~trace.valid).sum() == pytest.approx(300, abs=2)
+
+
+@pytest.mark.parametrize("jump_s", [-1.0, 1e6])
+def test_a_clock_that_cannot_be_is_refused(jump_s):
+    time, values = rows()
+    with pytest.raises(TraceError, match=r"time runs backwards|cut it first"):
+        trace_of_samples(np.where(time < 2.0, time, time + jump_s), values)
+
+
+# Recordings of others ------------------------------------------------------------------------------------------------
+
+
+def foreign(tmp_path):
+    time = clock_s(100)
+    table = np.column_stack([time, np.full(100, 0.1), np.full(100, 14.0)])
+    path = tmp_path / "foreign.csv"
+    np.savetxt(path, table, delimiter=",", header="t,gyro_down,v_ref", comments="")
+    return path
+
+
+def test_axes_are_turned_and_what_is_missing_is_said(tmp_path):
+    mapping = ColumnMapping(
+        time_column="t",
+        channels={"yaw_rate_radps": Channel("gyro_down", gain=-1.0)},
+        reference={"velocity_x_mps": Channel("v_ref")},
+        reference_speed="velocity_x_mps",
+        track_m=1.5,
+        front_axle_m=1.3,
+    )
+    drive = read_recording(foreign(tmp_path), mapping)
+    assert np.allclose(drive.trace.yaw_rate_radps, -0.1)
+    assert drive.trace.quality is QualityFlag.REFERENCE_SPEED
+    assert "roll_rate_radps" in drive.missing
+    assert "wheel_front_left_mps" in drive.missing
+    assert (drive.trace.roll_rate_radps == 0.0).all()
+    # A right turn: the left wheels are the outer, faster ones.
+    assert np.allclose(drive.trace.wheel_speed_mps[:, 2:], [14.075, 13.925])
+    assert np.allclose(drive.reference["velocity_x_mps"], 14.0)
+
+
+def test_without_wheels_and_reference_there_is_no_speed(tmp_path):
+    mapping = ColumnMapping(time_column="t", channels={"yaw_rate_radps": Channel("gyro_down")})
+    with pytest.raises(TraceError, match="wheel speeds"):
+        read_recording(foreign(tmp_path), mapping)
+
+
+def test_a_mapping_that_does_not_fit_the_file_is_refused(tmp_path):
+    with pytest.raises(TraceError, match="no column speed"):
+        read_recording(foreign(tmp_path), ColumnMapping(time_column="t", channels={"steer_rad": Channel("speed")}))
