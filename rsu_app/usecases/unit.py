@@ -147,17 +147,14 @@ class RoadSideUnit:
             since_unix_s=self._clock.unix_s() - self._limits.window_s, limit_count=self._limits.recall_count
         )
         unix_s, monotonic_s = self._clock.unix_s(), self._clock.monotonic_s()
-        counted = 0
+        counted_count = 0
         for estimate in remembered:
-            if estimate.passage_id in self._recall:
-                continue
-            self._recall.remember(estimate)
             age_s = unix_s - estimate.left_unix_s
-            if 0.0 <= age_s <= self._limits.window_s and self._count(estimate, left_at_s=monotonic_s - age_s):
-                counted += 1
+            in_window = 0.0 <= age_s <= self._limits.window_s
+            counted_count += self._admit(estimate, left_at_s=monotonic_s - age_s if in_window else None)
         self._restored = True
         self.refresh()
-        return counted
+        return counted_count
 
     async def ingest_passage(self, passage: Passage) -> Outcome:
         """Return what became of a passage, after it is on the disk.
@@ -340,16 +337,26 @@ class RoadSideUnit:
             return Rejected(Reason.STORE_UNAVAILABLE, str(error))
         if known is not None:
             return outcome_of_repetition(known, passage_id=estimate.passage_id, content=estimate.content_digest)
-        self._recall.remember(estimate)
-        if self._count(estimate, left_at_s=left_at_s):
+        if self._admit(estimate, left_at_s=left_at_s):
             state = self._states[estimate.section_id]
             self._advisory(state)
             _notify(state)
         return Accepted(estimate.flags)
 
-    def _count(self, estimate: StoredEstimate, *, left_at_s: float) -> bool:
+    def _admit(self, estimate: StoredEstimate, *, left_at_s: float | None) -> bool:
+        """Remember a stored estimate and return whether it counts from now on.
+
+        Once only: restoring may read a passage back between its commit and the moment its sender is answered.
+
+        Args:
+            estimate: What the store holds.
+            left_at_s: When the vehicle left the section, by the monotonic clock; None if that is not in the window.
+        """
+        if estimate.passage_id in self._recall:
+            return False
+        self._recall.remember(estimate)
         state = self._states.get(estimate.section_id)
-        if state is None or estimate.mu is None or estimate.flags is not NotCounted.NONE:
+        if state is None or left_at_s is None or estimate.mu is None or estimate.flags != NotCounted.NONE:
             return False
         state.window.add(left_at_s=left_at_s, mu=estimate.mu)
         return True

@@ -4,8 +4,9 @@ import asyncio
 
 import pytest
 
+from roadgrip.records import Accepted
 from rsu_app.usecases import UnitLimits
-from tests.rsu_app.fakes import FakeClock, make_passage
+from tests.rsu_app.fakes import FakeClock, FakeStore, make_passage
 from tests.rsu_app.usecases.site import SECTION, Site
 
 
@@ -90,5 +91,27 @@ def test_pruning_keeps_the_budget_and_does_not_trust_a_clock_that_just_stepped()
         assert await site.unit.prune() == 0
         site.clock.advance(120.0)
         assert await site.unit.prune() == 5
+
+    asyncio.run(story())
+
+
+def test_a_passage_that_is_restored_before_its_sender_is_answered_counts_once():
+    async def story():
+        class SlowAnswer(FakeStore):
+            """Commits at once and answers late, as a store on another thread may."""
+
+            async def append(self, entry):
+                held = await super().append(entry)
+                await answer.wait()
+                return held
+
+        answer = asyncio.Event()
+        site = Site(store=SlowAnswer())
+        task = asyncio.create_task(site.unit.ingest_passage(make_passage(SECTION)))
+        await asyncio.sleep(0.01)
+        assert await site.unit.restore() == 1
+        answer.set()
+        assert await task == Accepted()
+        assert site.interval().passages_count == 1
 
     asyncio.run(story())
