@@ -14,12 +14,14 @@ from typing import TYPE_CHECKING
 
 import structlog
 
-from roadgrip.errors import BundleError, ConfigurationError, RoadgripError, SectionError, StoreError
+from roadgrip.errors import BundleError, ConfigurationError, RoadgripError, SectionError, StoreError, WireError
 from roadgrip.exchange import ExchangeLedger
-from roadgrip.records import FrictionInterval, Rejected
+from roadgrip.features import TABLE_DIGEST
+from roadgrip.records import FrictionInterval, MapOffer, Rejected
 from roadgrip.section import RoadSection
 from roadgrip.section_file import section_from_json
 from roadgrip.signing import Signer, Verifier, signer_from_pem, verifier_from_pems
+from roadgrip.wire import encode_message
 from rsu_app.adapters.clocks import AcceleratedClock, SystemClock
 from rsu_app.domain.advisory import AdvisoryPolicy
 from rsu_app.domain.interval import IntervalPolicy
@@ -68,6 +70,7 @@ def build(settings: Settings, *, metrics: Metrics, sections: tuple[RoadSection, 
 
     clock = _clock(settings)
     signer, verifier = load_keys(settings)
+    check_maps(sections, signer=signer)
     model = _model_or_none(settings)
     policy = _advisory_policy(settings)
     store = open_store(settings.database.path, limits=WriterLimits(queue_count=settings.database.queue_limit_count))
@@ -179,6 +182,21 @@ def load_sections(settings: Settings) -> tuple[RoadSection, ...]:
     return sections
 
 
+def check_maps(sections: tuple[RoadSection, ...], *, signer: Signer | None) -> None:
+    """Do nothing if each map fits the frames that vehicles get it in.
+
+    Raises:
+        ConfigurationError: One does not; known at the start, and not by the vehicles that ask for it.
+    """
+    for section in sections:
+        try:
+            encode_message(MapOffer(section, (TABLE_DIGEST,)), signer=signer)
+        except WireError as error:
+            raise ConfigurationError(
+                f"section {section.section_id}: {error.detail}; make it shorter or its nodes and anchors fewer"
+            ) from error
+
+
 def load_keys(settings: Settings) -> tuple[Signer | None, Verifier | None]:
     """Return what signs and what verifies; None where the settings ask for neither.
 
@@ -219,15 +237,16 @@ def check_settings(settings: Settings) -> list[str]:
     Raises:
         RoadgripError: Something that was chosen cannot be.
     """
+    sections = load_sections(settings)
+    signer, verifier = load_keys(settings)
+    check_maps(sections, signer=signer)
     lines = [
-        f"section {s.section_id}: {s.length_m:.0f} m, map {s.version}, bank {s.bank_origin.value}"
-        for s in load_sections(settings)
+        f"section {s.section_id}: {s.length_m:.0f} m, map {s.version}, bank {s.bank_origin.value}" for s in sections
     ]
     manifest = load_model(settings).manifest
     lines.append(
         f"bundle {manifest.bundle_id}: {manifest.name}, friction {manifest.mu_range[0]} to {manifest.mu_range[1]}"
     )
-    signer, verifier = load_keys(settings)
     lines.append("signs as " + signer.key_id.hex() if signer else "signs nothing")
     if verifier is None:
         lines.append("checks no signatures")

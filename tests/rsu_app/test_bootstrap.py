@@ -5,14 +5,16 @@ import math
 from pathlib import Path
 
 import httpx
+import numpy as np
 import pytest
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat, PublicFormat
 
 from roadgrip.errors import ConfigurationError
 from roadgrip.records import Advisory, FrictionInterval
+from roadgrip.section import GnssAnchor, build_section
 from rsu_app.adapters.http.app import create_app
-from rsu_app.bootstrap import Parts, build, load_keys, load_sections, observe, site_of_parts
+from rsu_app.bootstrap import Parts, build, check_maps, load_keys, load_sections, observe, site_of_parts
 from rsu_app.observability import Metrics
 from rsu_app.settings import load_settings
 from tests.bundles import make_bundle
@@ -106,6 +108,19 @@ def test_each_section_has_its_own_winter_speed(folder):
 def test_a_section_given_twice_is_refused(folder):
     with pytest.raises(ConfigurationError, match="twice"):
         parts_of(folder, '[[sections]]\nfile = "s-turn"\n[[sections]]\nfile = "s-turn"\n')
+
+
+def test_a_map_that_does_not_fit_the_air_is_refused_at_the_start():
+    x_m = np.arange(1000) * 9.0
+    section = build_section(
+        section_id="long",
+        name="Too long",
+        nodes_m=np.column_stack([x_m, 50.0 * np.sin(x_m / 300.0), 10.0 * np.sin(x_m / 100.0)]),
+        speed_limit_mps=20.0,
+        anchors=[GnssAnchor(float(station_m), 60.0, 10.0) for station_m in range(0, 8900, 45)],
+    )
+    with pytest.raises(ConfigurationError, match="section long"):
+        check_maps((section,), signer=None)
 
 
 def test_keys_are_read_from_their_files(folder):
