@@ -18,7 +18,7 @@ from tests.rsu_app.usecases.site import SECTION
 def test_a_power_cut_between_two_passages_changes_nothing_for_either(tmp_path):
     make_bundle(tmp_path / "bundle")
     passages = [make_passage(SECTION, seed=seed, mu=0.3 + 0.01 * seed) for seed in range(11)]
-    copied = make_passage(SECTION, seed=3, passage_id=b"c" * 16)
+    copied = make_passage(SECTION, seed=3, mu=0.3 + 0.01 * 3, passage_id=b"c" * 16)
 
     def new_unit(clock):
         return RoadSideUnit(
