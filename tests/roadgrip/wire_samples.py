@@ -1,11 +1,15 @@
 """Messages to try the air with: one of each kind, and strategies for all there can be."""
 
 from functools import cache
+from typing import Any
 
+import cbor2
 import numpy as np
+import pytest
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from hypothesis import strategies as st
 
+from roadgrip.errors import WireError
 from roadgrip.features import KINEMATIC_FEATURES, TABLE_DIGEST
 from roadgrip.records import (
     Accepted,
@@ -29,6 +33,7 @@ from roadgrip.records import (
 from roadgrip.section import BankOrigin, Direction, GnssAnchor, RoadSection, build_section
 from roadgrip.signing import Signer, Verifier, key_id_of
 from roadgrip.units import kph_to_mps
+from roadgrip.wire import Kind, decode_message, encode_message
 
 # The first test key of RFC 8032; it opens nothing.
 PRIVATE_KEY = Ed25519PrivateKey.from_private_bytes(
@@ -124,6 +129,18 @@ SAMPLES: dict[str, Message] = {
     "receipt-rejected": REFUSAL,
     "beacon": BEACON,
 }
+
+
+def fields_of(message: Message) -> dict[int, Any]:
+    fields: dict[int, Any] = cbor2.loads(encode_message(message))
+    return fields
+
+
+def reason_for(kind: Kind, payload: bytes) -> Reason:
+    with pytest.raises(WireError) as caught:
+        decode_message(kind, payload)
+    return caught.value.reason
+
 
 section_ids = st.text("abcdefghijklmnopqrstuvwxyz0123456789-", min_size=1, max_size=48)
 passage_ids = st.binary(min_size=16, max_size=16)
