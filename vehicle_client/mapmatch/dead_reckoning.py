@@ -110,34 +110,32 @@ def match_by_dead_reckoning(line: DrivenLine, time_s: FloatArray, section: RoadS
         section: The map.
 
     Returns:
-        The match, or why there is none: PASSAGE_ABORTED if the drive is not half as long as the section, or follows
-        it and ends before it does; else WRONG_ROAD.
+        The match, or why there is none: PASSAGE_ABORTED if the drive is shorter than the section, or follows it
+        beyond its half and ends before it does; else WRONG_ROAD.
     """
     driven = float(line.distance_m[-1])
     length = section.length_m
-    if driven < length / 2.0:
+    if driven < length - EDGE_TOLERANCE_M:
         return Rejected(Reason.PASSAGE_ABORTED, f"drove {driven:.0f} m, the section is {length:.0f} m long")
-    detail = "the drive does not bend as the section does"
-    if driven >= length - EDGE_TOLERANCE_M:
-        found = _aligned(line, section, length_m=length)
-        if found.convincing and _waypoints_passed(line, found, section, length_m=length):
-            missing = max(-found.shift_m, found.shift_m + found.scale_ratio * length - driven)
-            if missing > EDGE_TOLERANCE_M:
-                return Rejected(Reason.PASSAGE_ABORTED, f"the trace lacks {missing:.0f} m at an end of the section")
-            return section_match(
-                time_s,
-                (line.distance_m - found.shift_m) / found.scale_ratio,
-                length_m=length,
-                confidence_frac=found.explained_frac,
-                position_std_m=found.position_std_m,
-                method=MatchMethod.DEAD_RECKONING,
-            )
-        detail = (
-            f"best alignment leaves {found.heading_rms_rad:.3f} rad, explains {found.explained_frac:.2f} of the turns"
+    found = _aligned(line, section, length_m=length)
+    if found.convincing and _waypoints_passed(line, found, section, length_m=length):
+        missing = max(-found.shift_m, found.shift_m + found.scale_ratio * length - driven)
+        if missing > EDGE_TOLERANCE_M:
+            return Rejected(Reason.PASSAGE_ABORTED, f"the trace lacks {missing:.0f} m at an end of the section")
+        return section_match(
+            time_s,
+            (line.distance_m - found.shift_m) / found.scale_ratio,
+            length_m=length,
+            confidence_frac=found.explained_frac,
+            position_std_m=found.position_std_m,
+            method=MatchMethod.DEAD_RECKONING,
         )
     if _ends_on_the_way(line, section):
         return Rejected(Reason.PASSAGE_ABORTED, "the drive follows the section to its own end, before the section's")
-    return Rejected(Reason.WRONG_ROAD, detail)
+    return Rejected(
+        Reason.WRONG_ROAD,
+        f"the best alignment leaves {found.heading_rms_rad:.3f} rad, explains {found.explained_frac:.2f} of the turns",
+    )
 
 
 def _ends_on_the_way(line: DrivenLine, section: RoadSection) -> bool:
