@@ -136,8 +136,8 @@ def trace_of(motion: Motion, *, rng: np.random.Generator, sensors: Sensors, gnss
     force[:, 1] += turning * lever_x - rate[:, 2] ** 2 * lever_y
     # A small rotation of the unit against the body.
     tilt = sensors.misalignment_rad * fixed[2:5]
-    force = force - np.cross(tilt, force)
-    rate = rate - np.cross(tilt, rate)
+    force = _turned(force, tilt)
+    rate = _turned(rate, tilt)
 
     accel = force[:, :2] * (1.0 + sensors.accel_scale_ratio * fixed[5:7]) + sensors.accel_bias_mps2 * fixed[7:9]
     accel = accel + sensors.accel_noise_mps2 * noise[:, 0:2]
@@ -188,6 +188,17 @@ def gnss_track(
         lat_deg=lat,
         lon_deg=lon,
         accuracy_m=np.full(len(rows), max(0.01, sensors.gnss_position_m)),
+    )
+
+
+def _turned(vectors: FloatArray, tilt: FloatArray) -> FloatArray:
+    """Return vectors as a unit reads them that is turned by small angles.
+
+    Written out, since a matrix product may add in another order on another machine.
+    """
+    x, y, z = vectors[:, 0], vectors[:, 1], vectors[:, 2]
+    return np.column_stack(
+        [x + tilt[2] * y - tilt[1] * z, y + tilt[0] * z - tilt[2] * x, z + tilt[1] * x - tilt[0] * y]
     )
 
 
