@@ -50,7 +50,7 @@ class Metrics:
         self.ready = self._gauge("roadgrip_ready", "1 while the unit is ready, as `/health/ready` says.")
         self.passages = self._counter(
             "roadgrip_passages_total",
-            "Passages by outcome (`counted`, `uncounted`, `rejected`), reason and the way they came.",
+            "Passages answered, repetitions included, by outcome (`counted`, `uncounted`, `rejected`), reason and way.",
             "section",
             "outcome",
             "reason",
