@@ -140,19 +140,18 @@ def observed_velocity_mps(
     scale = 1.0 / (n00 * n11 - n01 * n10)
     e00, e01, e10, e11 = 1.0 + a00[:-1], a01[:-1], a10[:-1], 1.0 + a11[:-1]
     b0, b1 = u0[1:] + u0[:-1], u1[1:] + u1[:-1]
-    steps = np.column_stack(
-        [
-            (n11 * e00 - n01 * e10) * scale,
-            (n11 * e01 - n01 * e11) * scale,
-            (n11 * b0 - n01 * b1) * scale,
-            (n00 * e10 - n10 * e00) * scale,
-            (n00 * e11 - n10 * e01) * scale,
-            (n00 * b1 - n10 * b0) * scale,
-        ]
+    columns = (
+        (n11 * e00 - n01 * e10) * scale,
+        (n11 * e01 - n01 * e11) * scale,
+        (n11 * b0 - n01 * b1) * scale,
+        (n00 * e10 - n10 * e00) * scale,
+        (n00 * e11 - n10 * e01) * scale,
+        (n00 * b1 - n10 * b0) * scale,
     )
     x, y = float(encoder_speed_mps[0]), 0.0
     forward, left = [x], [y]
-    for m00, m01, c0, m10, m11, c1 in steps.tolist():
+    # Python floats: a recursion over numpy scalars is some five times slower.
+    for m00, m01, c0, m10, m11, c1 in zip(*(column.tolist() for column in columns), strict=True):
         x, y = m00 * x + m01 * y + c0, m10 * x + m11 * y + c1
         forward.append(x)
         left.append(y)
