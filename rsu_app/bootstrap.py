@@ -19,7 +19,7 @@ from roadgrip.exchange import ExchangeLedger
 from roadgrip.features import TABLE_DIGEST
 from roadgrip.records import FrictionInterval, MapOffer, Rejected
 from roadgrip.section import RoadSection
-from roadgrip.section_file import section_from_json
+from roadgrip.sections import read_section
 from roadgrip.signing import Signer, Verifier, signer_from_pem, verifier_from_pems
 from roadgrip.wire import encode_message
 from rsu_app.adapters.clocks import AcceleratedClock, SystemClock
@@ -29,7 +29,7 @@ from rsu_app.gateway import FrameGateway
 from rsu_app.intake import PassageIntake, TimedModel
 from rsu_app.observability import Metrics
 from rsu_app.ports import Clock, FrictionModel, PassageStore
-from rsu_app.settings import Settings, is_packaged_name
+from rsu_app.settings import Settings
 from rsu_app.usecases import RoadSideUnit, UnitLimits
 
 if TYPE_CHECKING:
@@ -320,21 +320,10 @@ def _advisory_policy(settings: Settings) -> AdvisoryPolicy:
 
 
 def _section(file: str) -> RoadSection:
-    packaged = files("roadgrip") / "sections"
     try:
-        if is_packaged_name(file):
-            text = (packaged / f"{file}.json").read_text(encoding="utf-8")
-        else:
-            text = Path(file).read_text(encoding="utf-8")
-        return section_from_json(text)
-    except (OSError, UnicodeDecodeError) as error:
-        names = ", ".join(sorted(p.name.removesuffix(".json") for p in packaged.iterdir() if p.name.endswith(".json")))
-        raise ConfigurationError(
-            f"section {file!r} cannot be read ({type(error).__name__}); packaged are {names}, anything else is the "
-            "path of a .json file"
-        ) from error
+        return read_section(file)
     except SectionError as error:
-        raise ConfigurationError(f"{file}: {error}") from error
+        raise ConfigurationError(str(error)) from error
 
 
 def _bytes_of(path: Path) -> bytes:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,14 +13,15 @@ from rich.table import Table
 
 from roadgrip.errors import SectionError
 from roadgrip.section import BANK_CAP_RATIO, Direction, RoadSection
-from roadgrip.section_file import section_from_json, section_to_json
+from roadgrip.section_file import section_to_json
+from roadgrip.sections import packaged_names, read_section
 from roadgrip.units import mps_to_kph
 from rsu_app.road_import.fit import FitReport, ImportRequest, section_of_survey
 from rsu_app.road_import.reading import BYTES_LIMIT, RoadFormat, survey_of_bytes
 from rsu_app.section_report import curvature_sketch, curves_of, plan_sketch, section_figures
 
 if TYPE_CHECKING:
-    from importlib.resources.abc import Traversable
+    pass
 
 section_app = typer.Typer(
     help="Make and look at maps: the sections a unit serves.",
@@ -35,30 +35,6 @@ Place = Annotated[
     typer.Argument(metavar="FILE|NAME", help="A section file (`.json`), or the name of a packaged one: `long-turn`."),
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Write JSON for a machine.")]
-
-
-def packaged_names() -> tuple[str, ...]:
-    """Return the names of the sections that come with the distribution."""
-    return tuple(sorted(f.name.removesuffix(".json") for f in _packaged_folder().iterdir() if f.name.endswith(".json")))
-
-
-def read_section(place: str) -> RoadSection:
-    """Return the section that a path or the name of a packaged one leads to.
-
-    Raises:
-        SectionError: There is none, or it cannot be used.
-    """
-    if place in packaged_names():
-        return section_from_json((_packaged_folder() / f"{place}.json").read_text(encoding="utf-8"))
-    path = Path(place)
-    if not path.exists() and path.suffix != ".json":
-        raise SectionError(f"no section {place!r}; packaged are {', '.join(packaged_names())}, others are .json files")
-    try:
-        return section_from_json(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise SectionError(f"{path}: cannot be read: {error}") from error
-    except SectionError as error:
-        raise SectionError(f"{path}: {error}") from error
 
 
 @section_app.command("import")
@@ -196,10 +172,6 @@ def list_sections(*, as_json: AsJson = False) -> None:
         limit = f"{mps_to_kph(s.speed_limit_mps):.0f} km/h"
         table.add_row(s.section_id, f"{s.length_m:.0f} m", f"{s.tightest_radius_m:.0f} m", limit, s.version)
     Console().print(table)
-
-
-def _packaged_folder() -> Traversable:
-    return files("roadgrip") / "sections"
 
 
 def _id_of(source: Path) -> str:

@@ -26,9 +26,9 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from roadgrip.bundle import BundleManifest
-from roadgrip.errors import RoadgripError, SectionError
+from roadgrip.errors import RoadgripError
 from roadgrip.section import RoadSection
-from roadgrip.section_file import section_from_json
+from roadgrip.sections import read_section
 from training import simulation
 from training.bundling import write_bundle
 from training.dataset import COMPLETED, Runs, read_runs, write_runs
@@ -113,7 +113,7 @@ def simulate(
 
     Example: roadgrip-train simulate --design paper-roads --sensors ideal --runs 100 --out build/ideal
     """
-    sections = tuple(_read_section(path) for path in section) if section else _paper_sections()
+    sections = tuple(read_section(path) for path in section) if section else _paper_sections()
     if design == "paper-roads":
         chosen = paper_roads_design(sections, runs_count=runs, sensor_grade=sensors, seed=seed, driver_kind=driver)
     elif design == "mixed":
@@ -244,16 +244,8 @@ def main() -> None:
         raise SystemExit(2) from error
 
 
-def _read_section(path: Path) -> RoadSection:
-    try:
-        return section_from_json(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise SectionError(f"cannot read {path}: {error.strerror}") from error
-
-
 def _paper_sections() -> tuple[RoadSection, ...]:
-    folder = files("roadgrip") / "sections"
-    return tuple(section_from_json((folder / f"{name}.json").read_text(encoding="utf-8")) for name in PAPER_ROADS)
+    return tuple(read_section(name) for name in PAPER_ROADS)
 
 
 def _progress() -> Progress:

@@ -33,11 +33,11 @@ class FitParameters:
         seed: Of the split and of the trees.
     """
 
-    trees_count: int = 300
+    trees_count: int = 500
     depth_count: int = 6
-    learning_rate_ratio: float = 0.08
-    row_share_frac: float = 0.8
-    column_share_frac: float = 0.6
+    learning_rate_ratio: float = 0.05
+    row_share_frac: float = 0.6
+    column_share_frac: float = 0.5
     seed: int = 1
 
 

@@ -242,11 +242,12 @@ def drive(  # noqa: PLR0917 - typer reads options by name
 
 async def _section(text: str, address: UnitAddress, keys: Keys) -> RoadSection:
     """Return the road that an option names."""
-    from vehicle_client.shell.roads import FROM_UNIT_PREFIX, ask_for_section, load_section
+    from roadgrip.sections import read_section
+    from vehicle_client.shell.roads import FROM_UNIT_PREFIX, ask_for_section
     from vehicle_client.shell.uplink import uplinks_to
 
     if not text.startswith(FROM_UNIT_PREFIX):
-        return load_section(text)
+        return read_section(text)
     section_id = text.removeprefix(FROM_UNIT_PREFIX)
     async with uplinks_to(address) as open_uplink:
         uplink = await open_uplink()

@@ -1,7 +1,6 @@
 """Roads for tests: the packaged ones, and any road hypothesis can think of."""
 
 import dataclasses
-from importlib.resources import files
 
 import numpy as np
 from hypothesis import strategies as st
@@ -9,13 +8,13 @@ from hypothesis import strategies as st
 from roadgrip.alignment import Element, centre_line
 from roadgrip.geodesy import anchors_of
 from roadgrip.section import BankOrigin, Direction, RoadSection, build_section
-from roadgrip.section_file import section_from_json
+from roadgrip.sections import read_section
 
 PAPER_ROADS = ("long-turn", "s-turn", "sharp-turn")
 
 
 def packaged(name: str) -> RoadSection:
-    return section_from_json((files("roadgrip") / "sections" / f"{name}.json").read_text(encoding="utf-8"))
+    return read_section(name)
 
 
 def circle_section(radius_m: float = 100.0, turn_rad: float = 2.0, step_m: float = 8.0, **changes) -> RoadSection:

@@ -1,13 +1,12 @@
 from __future__ import annotations
 
 from collections import Counter
-from importlib.resources import files
 
 import numpy as np
 import pytest
 
 from roadgrip.section import RoadSection
-from roadgrip.section_file import section_from_json
+from roadgrip.sections import read_section
 from training.random_roads import LENGTH_RANGE_M, RADIUS_RANGE_M, random_section
 from training.scenarios import BASE_FRICTIONS_MU, Design, mixed_design, paper_roads_design, runs_of, shards_of
 from vehicle_client.simulator.plan import SensorGrade
@@ -15,7 +14,7 @@ from vehicle_client.simulator.plan import SensorGrade
 
 @pytest.fixture(scope="module")
 def s_turn() -> RoadSection:
-    return section_from_json((files("roadgrip") / "sections" / "s-turn.json").read_text(encoding="utf-8"))
+    return read_section("s-turn")
 
 
 def design_of(section: RoadSection, *, runs_count: int = 25, seed: int = 1) -> Design:

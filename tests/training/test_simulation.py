@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import json
-from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 from roadgrip.bundle import manifest_from_json
-from roadgrip.section_file import section_from_json
+from roadgrip.sections import read_section
 from training.__main__ import app
 from training.dataset import COMPLETED, Runs, read_description
 from training.scenarios import SHARD_RUNS_COUNT, Design, Road, shards_of
@@ -20,10 +19,9 @@ pytestmark = [pytest.mark.sim, pytest.mark.xdist_group("sim")]
 
 
 def small_design(runs_count: int) -> Design:
-    text = (files("roadgrip") / "sections" / "sharp-turn.json").read_text(encoding="utf-8")
     return Design(
         name="test",
-        roads=(Road(section_from_json(text), runs_count),),
+        roads=(Road(read_section("sharp-turn"), runs_count),),
         base_frictions_mu=(0.3, 0.6),
         sensor_grade=SensorGrade.AUTOMOTIVE,
         driver_kind=DriverKind.PRUDENT,
@@ -75,8 +73,7 @@ def test_the_command_line_goes_from_nothing_to_a_bundle(tmp_path: Path) -> None:
         return answer
 
     runs, fitted, bundle = tmp_path / "runs", tmp_path / "fit", tmp_path / "bundle"
-    section = files("roadgrip") / "sections" / "sharp-turn.json"
-    simulated = run("simulate", "--section", section, "--runs", 8, "--seed", 3, "--out", runs, "--workers", 1)
+    simulated = run("simulate", "--section", "sharp-turn", "--runs", 8, "--seed", 3, "--out", runs, "--workers", 1)
     assert simulated["runs_count"] == 88
     assert run("fit", runs, "--out", fitted, "--trees", 20)["rows_count"] == pytest.approx(8, abs=1)
     assert run("export", fitted, "--data", runs, "--out", tmp_path / "model.onnx")["rows_count"] >= 1000  # type: ignore[operator]

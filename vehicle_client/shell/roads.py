@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import secrets
-from importlib.resources import files
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from roadgrip.errors import ConfigurationError
 from roadgrip.records import PASSAGE_ID_BYTES
-from roadgrip.section_file import section_from_json
 from vehicle_client.shell.conversation import SpedUpClock, converse, send_all
 from vehicle_client.shell.exchange import Exchange, Stage
 
@@ -22,34 +19,6 @@ if TYPE_CHECKING:
 
 FROM_UNIT_PREFIX = "rsu:"
 """`rsu:long-turn` means: ask the unit for the map of long-turn."""
-
-
-def packaged_section_names() -> tuple[str, ...]:
-    """Return the sections that come with the software."""
-    folder = files("roadgrip") / "sections"
-    return tuple(sorted(e.name.removesuffix(".json") for e in folder.iterdir() if e.name.endswith(".json")))
-
-
-def load_section(text: str) -> RoadSection:
-    """Return the section that a packaged name or the path of a section file names.
-
-    Raises:
-        ConfigurationError: There is no such name or file; the message lists the names.
-        SectionError: The file holds no section.
-    """
-    if text in packaged_section_names():
-        return section_from_json((files("roadgrip") / "sections" / f"{text}.json").read_text(encoding="utf-8"))
-    path = Path(text)
-    if not path.is_file():
-        names = ", ".join(packaged_section_names())
-        raise ConfigurationError(
-            f"no section {text!r}: give one of {names}, the path of a section file, "
-            f"or {FROM_UNIT_PREFIX}ID to ask the unit"
-        )
-    try:
-        return section_from_json(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigurationError(f"cannot read {path}: {error}") from error
 
 
 async def ask_for_section(section_id: str, *, uplink: Uplink, open_codec: Callable[[bytes], FrameCodec]) -> RoadSection:
