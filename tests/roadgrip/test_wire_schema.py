@@ -1,9 +1,9 @@
 """The published schema and the code say the same, judged by somebody else's CDDL implementation."""
 
 from pathlib import Path
+from typing import Any
 
 import cbor2
-import pycddl
 import pytest
 from hypothesis import given, settings
 
@@ -11,11 +11,14 @@ from roadgrip.records import Accepted, Message, Receipt
 from roadgrip.wire import Kind, encode_message, kind_of
 from tests.roadgrip.wire_samples import PASSAGE, RECEIPT, SAMPLES, SIGNER, map_offers, messages
 
+# Its makers publish no wheel for Linux on aarch64.
+pycddl = pytest.importorskip("pycddl")
+
 SCHEMA_TEXT = (Path(__file__).resolve().parents[2] / "docs" / "wire.cddl").read_text(encoding="utf-8")
 RULES = ("arrival", "map", "advisory", "summary", "receipt-accepted", "receipt-rejected", "beacon")
 
 
-def schema(rule: str) -> pycddl.Schema:
+def schema(rule: str) -> Any:
     """Return the schema with another rule as its root, which is the first one."""
     return pycddl.Schema(f"start = {rule}\n{SCHEMA_TEXT}")
 
