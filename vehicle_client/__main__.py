@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import secrets
 import sys
 import tempfile
 from importlib.metadata import version as distribution_version
@@ -110,7 +111,12 @@ def fleet(  # noqa: PLR0917 - typer reads options by name
     delayed: Annotated[float, typer.Option(min=0.0, max=1.0, help="Share of frames that arrive late.")] = 0.0,
     spoiled: Annotated[float, typer.Option(min=0.0, max=1.0, help="Share of frames with a changed byte.")] = 0.0,
     sensors: Sensors = SensorGrade.AUTOMOTIVE,
-    seed: Seed = 1,
+    seed: Annotated[
+        int | None,
+        typer.Option(
+            min=0, help="The same seed brings the same vehicles, drives and losses; left out, every fleet is new."
+        ),
+    ] = None,
     spool: Annotated[
         Path | None, typer.Option(help="Folder for summaries without a receipt; a temporary one if left out.")
     ] = None,
@@ -122,7 +128,8 @@ def fleet(  # noqa: PLR0917 - typer reads options by name
 
     Each vehicle asks for map and advice, drives in the simulator, summarises what its sensors saw with the code that
     runs in cars, sends the summary and waits for its receipt; what the air loses is sent again within the budget of
-    twelve frames. Exit code 1 if a summary was never acknowledged.
+    twelve frames. A unit that gets the same seed a second time refuses the passages as replayed, and rightly so.
+    Exit code 1 if a summary was refused or never answered.
     """
     from vehicle_client.shell.fleet import FleetPlan, parse_friction_change
     from vehicle_client.shell.keys import read_keys
@@ -141,7 +148,7 @@ def fleet(  # noqa: PLR0917 - typer reads options by name
         speedup_ratio=speedup,
         grade=sensors,
         faults=AirFaults(lost_frac=loss, doubled_frac=doubled, delayed_frac=delayed, spoiled_frac=spoiled),
-        seed=seed,
+        seed=seed if seed is not None else secrets.randbits(32),
     )
     report = asyncio.run(_run_fleet(plan, address, keys, spool))
     if as_json:
@@ -149,7 +156,7 @@ def fleet(  # noqa: PLR0917 - typer reads options by name
     else:
         Console().print(fleet_report_table(report))
     unheard = report.no_map_count + report.waiting_count + report.frames_spent_count + report.spool_dropped_count
-    raise typer.Exit(1 if unheard else 0)
+    raise typer.Exit(1 if unheard or report.rejected else 0)
 
 
 @app.command()

@@ -22,6 +22,9 @@ from vehicle_client.shell.views import advice_text
 if TYPE_CHECKING:
     from deploy.demo.story import Check, Reading, Story
 
+ROOM_FOR_TEXT_FRAC = 0.18
+"""A stretch must be as long as this share of the run for its reason to fit above it."""
+_SMALL: dict[str, Any] = {"fontsize": 9, "color": "#555555"}
 FIGURE_INCHES = (11.0, 7.6)
 TRUTH, PUBLISHED, DOT, OUTSIDE, SPEED = "#b9b9b9", "#1f5fa8", "#0b2e59", "#c65a11", "#2b2b2b"
 CONFIDENCE_COLOUR = {
@@ -131,6 +134,13 @@ def _draw_friction(axes: Any, story: Story) -> None:
             va="top",
             color="#555555",
         )
+        axes.annotate(
+            "the window is an hour long: until most of it is new,\nthe interval still speaks of the road before",
+            (changed_h, 0.0),
+            xytext=(6, 34),
+            textcoords="offset points",
+            **_SMALL,
+        )
     handles = [
         Patch(color=TRUTH, alpha=0.55, label="truth: worn (0.8) to new tyres"),
         Patch(facecolor=PUBLISHED, alpha=0.3, edgecolor=PUBLISHED, label="interval the unit published"),
@@ -138,7 +148,7 @@ def _draw_friction(axes: Any, story: Story) -> None:
     ]
     if any(not counted for *_, counted in dots):
         handles.append(Line2D([], [], color=OUTSIDE, marker="x", markersize=5, linestyle="", label="not counted"))
-    axes.legend(handles=handles, loc="lower left", ncols=len(handles), frameon=False, fontsize=9)
+    axes.legend(handles=handles, loc="lower left", ncols=len(handles), edgecolor="none", fontsize=9)
 
 
 def _draw_trust(axes: Any, story: Story) -> None:
@@ -173,20 +183,19 @@ def _draw_speed(axes: Any, story: Story, *, speed_limit_mps: float) -> None:
     axes.set_ylabel("advised speed, km/h")
     axes.set_ylim(0.0, 1.15 * limit_kph)
     axes.grid(alpha=0.25)
-    shown_until_h = -1.0
+    whole_s = story.readings[-1].at_s if story.readings else 1.0
     for first, end_s in _stretches(story, lambda r: r.advisory.reason):
-        begin_h = first.at_s / 3600.0
-        if end_s - first.at_s > 240.0 and begin_h >= shown_until_h:
-            axes.annotate(
-                REASON_TEXT[first.advisory.reason],
-                (begin_h, mps_to_kph(first.advisory.speed_mps)),
-                xytext=(3, -5),
-                textcoords="offset points",
-                va="top",
-                fontsize=8,
-                color="#555555",
-            )
-            shown_until_h = begin_h + 0.28
+        kph = mps_to_kph(first.advisory.speed_mps)
+        reason = REASON_TEXT[first.advisory.reason]
+        if end_s - first.at_s > ROOM_FOR_TEXT_FRAC * whole_s:
+            axes.annotate(reason, (first.at_s / 3600.0, kph), xytext=(4, 4), textcoords="offset points", **_SMALL)
+        else:
+            axes.annotate(f"← {reason}", (end_s / 3600.0, kph), xytext=(4, -4), textcoords="offset points", **_SMALL)
+    for first, end_s in _stretches(story, lambda r: r.advisory.speed_mps):
+        kph = mps_to_kph(first.advisory.speed_mps)
+        if end_s - first.at_s > 0.02 * whole_s:
+            place = (first.at_s / 3600.0, kph)
+            axes.annotate(f"{kph:.0f}", place, xytext=(4, -3), textcoords="offset points", va="top", fontsize=10)
 
 
 def _stretches(story: Story, key: Any) -> Iterator[tuple[Reading, float]]:

@@ -22,11 +22,11 @@ from rich.console import Console
 
 from deploy.demo.story import Check, Story
 from deploy.demo.terminal import LiveView, PlainView, View, checks_table
-from deploy.demo.unit import DemoError, UnitFiles, UnitProcess, migrate, write_config
+from deploy.demo.unit import DemoError, UnitFiles, UnitProcess, check_settings, migrate, write_config
 from roadgrip.errors import RoadgripError
+from roadgrip.sections import read_section
 from vehicle_client.shell.fleet import FleetPlan, FleetTools, FrictionChange, run_fleet
 from vehicle_client.shell.keys import Keys
-from vehicle_client.shell.roads import load_section
 from vehicle_client.shell.uplink import AirFaults, parse_unit_address, uplinks_to
 from vehicle_client.shell.views import fleet_report_table
 from vehicle_client.simulator.plan import SensorGrade
@@ -166,12 +166,13 @@ def run_demo(choices: Choices, view: View, console: Console, *, keep_running: bo
     Raises:
         RoadgripError: It could not be played to its end.
     """
-    section = load_section(choices.section)
+    section = read_section(choices.section)
     with view.step(f"preparing {choices.folder}"):
         prepare_folder(choices.folder)
         files, http_port, udp_port = write_config(
             choices.folder, section=choices.section, speedup_ratio=choices.speedup_ratio, bundle=choices.bundle
         )
+        check_settings(files)
     with view.step("migrating the database"):
         migrate(files)
     unit = UnitProcess(files, section_id=section.section_id, http_port=http_port)
@@ -237,6 +238,10 @@ def _wait_for_interrupt(unit: UnitProcess) -> None:
         return
 
 
+app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+
+
+@app.command()
 def demo(  # noqa: PLR0917 - typer reads options by name
     vehicles: Annotated[int | None, typer.Option(min=4, help="How many vehicles come.")] = None,
     speedup: Annotated[float | None, typer.Option(min=1.0, max=1000.0, help="Hours per hour.")] = None,
@@ -269,7 +274,7 @@ def demo(  # noqa: PLR0917 - typer reads options by name
 def main() -> None:
     """Run the demo; what cannot be is one line and exit code 2, never a traceback."""
     try:
-        typer.run(demo)
+        app()
     except RoadgripError as error:
         print(f"demo: {error}", file=sys.stderr)
         sys.exit(USAGE_ERROR)

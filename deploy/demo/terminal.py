@@ -13,25 +13,17 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
-from deploy.demo.story import WORN_FACTOR
-from roadgrip.records import VEHICLE_FRAME_BUDGET, Confidence
-from roadgrip.units import mps_to_kph
+from deploy.demo.chart import CHART_ROWS, CONFIDENCE_STYLE, chart, clock_text, legend
+from roadgrip.records import VEHICLE_FRAME_BUDGET
 from vehicle_client.shell.views import advice_text
 
 if TYPE_CHECKING:
     from deploy.demo.story import Check, Story
 
-CHART_COLUMNS = 72
-CHART_ROWS = 15
-CHART_TOP_MU = 0.65
+CHART_ROWS_LEAST = 6
+ROWS_BESIDE_CHART = 18
 LAST_COUNT = 6
 PLAIN_EVERY_FRAC = 0.1
-
-CONFIDENCE_STYLE = {
-    Confidence.INSUFFICIENT: "bright_black",
-    Confidence.PROVISIONAL: "yellow",
-    Confidence.RECOMMENDED: "green",
-}
 
 
 class View(Protocol):
@@ -115,7 +107,7 @@ class LiveView:
     def watching(self, story: Story) -> Iterator[None]:
         """Draw, and leave the last state on the screen."""
         self._story = story
-        with Live(picture_of(story), console=self._console, refresh_per_second=4) as live:
+        with Live(self._picture(story), console=self._console, refresh_per_second=4) as live:
             self._live = live
             yield
             self.refresh()
@@ -124,7 +116,11 @@ class LiveView:
     def refresh(self) -> None:
         """Draw anew."""
         if self._live is not None and self._story is not None:
-            self._live.update(picture_of(self._story))
+            self._live.update(self._picture(self._story))
+
+    def _picture(self, story: Story) -> Group:
+        rows_count = min(CHART_ROWS, max(CHART_ROWS_LEAST, self._console.height - ROWS_BESIDE_CHART))
+        return picture_of(story, chart_rows_count=rows_count)
 
 
 def story_line(story: Story) -> str:
@@ -138,7 +134,7 @@ def story_line(story: Story) -> str:
     )
 
 
-def picture_of(story: Story) -> Group:
+def picture_of(story: Story, *, chart_rows_count: int = CHART_ROWS) -> Group:
     """Return the whole live view."""
     grid = Table.grid(expand=True, padding=(0, 2))
     grid.add_column(ratio=1)
@@ -148,63 +144,19 @@ def picture_of(story: Story) -> Group:
     bar.add_row(
         ProgressBar(total=story.vehicles_count, completed=len(story.vehicles), width=48),
         f"{len(story.vehicles)}/{story.vehicles_count} vehicles",
-        _clock(story.readings[-1].at_s) if story.readings else "the simulator compiles; the first time takes a minute",
+        clock_text(story.readings[-1].at_s)
+        if story.readings
+        else "the simulator compiles; the first time takes a minute",
     )
     return Group(
         bar,
-        Panel(Group(chart(story), _legend()), title="friction: what the unit publishes against the truth"),
+        Panel(
+            Group(chart(story, rows_count=chart_rows_count), legend()),
+            title="friction: what the unit publishes against the truth",
+        ),
         Panel(_advice(story), title="what drivers are told"),
         grid,
     )
-
-
-def chart(story: Story, *, columns_count: int = CHART_COLUMNS, rows_count: int = CHART_ROWS) -> Text:
-    """Return estimates, interval and truth over time as text, newest at the right end of what is drawn.
-
-    Time fills the width: the fleet's whole run once it is over, growing until then.
-    """
-    readings = story.readings
-    end_s = max([r.at_s for r in readings] + [v.at_s for v in story.vehicles.values()] + [1.0])
-    step_mu = CHART_TOP_MU / rows_count
-
-    def column_of(at_s: float) -> int:
-        return min(columns_count - 1, int(at_s / end_s * columns_count))
-
-    def row_of(mu: float) -> int:
-        return min(rows_count - 1, max(0, int(mu / step_mu)))
-
-    cells = [[(" ", "")] * columns_count for _ in range(rows_count)]
-    for reading in readings:
-        x = column_of(reading.at_s)
-        for y in range(row_of(WORN_FACTOR * reading.base_friction_mu), row_of(reading.base_friction_mu) + 1):
-            cells[y][x] = ("░", "bright_black")
-    for reading in readings:
-        interval = reading.advisory.interval
-        if interval is not None:
-            x, style = column_of(reading.at_s), CONFIDENCE_STYLE[reading.advisory.confidence]
-            for y in range(row_of(interval.mu_low), row_of(interval.mu_new) + 1):
-                cells[y][x] = ("█", style)
-    for vehicle, estimate in story.estimated():
-        if estimate.mu is not None:
-            mark = ("•", "bold white") if estimate.counted else ("x", "bright_red")
-            cells[row_of(estimate.mu)][column_of(vehicle.at_s)] = mark
-    text = Text()
-    for y in reversed(range(rows_count)):
-        text.append(f"{(y + 0.5) * step_mu:5.2f} ")
-        for symbol, style in cells[y]:
-            text.append(symbol, style=style or None)
-        text.append("\n")
-    return text.append(" " * 6 + f"0:00{_clock(end_s):>{columns_count - 4}}")
-
-
-def _legend() -> Text:
-    text = Text(" " * 6)
-    text.append("░", style="bright_black")
-    text.append(" truth, worn to new tyres   ")
-    for confidence, style in CONFIDENCE_STYLE.items():
-        text.append("█", style=style)
-        text.append(f" {confidence.value}   ")
-    return text.append("• estimate   x not counted")
 
 
 def _advice(story: Story) -> Text:
@@ -250,12 +202,3 @@ def checks_table(checks: list[Check]) -> Table:
     for check in checks:
         table.add_row(check.promise, "[green]yes[/]" if check.kept else "[bold red]NO[/]", check.detail)
     return table
-
-
-def advised_kph(story: Story) -> list[tuple[float, float]]:
-    """Return when which speed was advised, in km/h."""
-    return [(r.at_s, mps_to_kph(r.advisory.speed_mps)) for r in story.readings]
-
-
-def _clock(at_s: float) -> str:
-    return f"{int(at_s // 3600)}:{int(at_s % 3600 // 60):02d} h"

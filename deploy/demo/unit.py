@@ -76,18 +76,22 @@ speedup_ratio = {speedup_ratio} # an hour of traffic in {3600.0 / speedup_ratio:
     return files, http_port, udp_port
 
 
-def migrate(files: UnitFiles) -> str:
-    """Make the database; return what the command said.
+def check_settings(files: UnitFiles) -> None:
+    """Do nothing if the unit finds everything that its settings name: the section, the model.
+
+    Raises:
+        DemoError: It does not; the message says what.
+    """
+    _ask(["config", "check", "--config", str(files.config)], "the unit does not accept its settings")
+
+
+def migrate(files: UnitFiles) -> None:
+    """Make the unit's database.
 
     Raises:
         DemoError: It failed.
     """
-    done = subprocess.run(
-        [*_rsu(), "db", "upgrade", "--config", str(files.config)], capture_output=True, text=True, check=False
-    )
-    if done.returncode != 0:
-        raise DemoError(f"the migration failed: {done.stderr.strip() or done.stdout.strip()}")
-    return done.stdout.strip()
+    _ask(["db", "upgrade", "--config", str(files.config)], "the unit could not make its database")
 
 
 class UnitProcess:
@@ -175,6 +179,13 @@ class UnitProcess:
 
 def _rsu() -> list[str]:
     return [sys.executable, "-m", "rsu_app"]
+
+
+def _ask(arguments: list[str], failure: str) -> None:
+    done = subprocess.run([*_rsu(), *arguments], capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        said = (done.stderr.strip() or done.stdout.strip() or f"exit code {done.returncode}").splitlines()[-1]
+        raise DemoError(f"{failure}: {said}")
 
 
 def _free_port(kind: socket.SocketKind, preferred: int) -> int:

@@ -86,8 +86,9 @@ class Ending(StrEnum):
 class Patience:
     """How long a vehicle waits and how often it tries.
 
-    The tries leave frames of the budget for the spool: three arrivals and five reports of one frame each spend eight
-    of twelve.
+    The tries leave frames of the budget for the spool: four arrivals and five reports of one frame each spend nine
+    of twelve. Every announcement may cost the unit a map and an advisory of its eight frames, so the last one waits
+    until a slow answer would have come.
 
     Attributes:
         reply_s: Wait for an answer before the second try.
@@ -99,10 +100,10 @@ class Patience:
     """
 
     reply_s: float = 0.5
-    backoff_ratio: float = 2.0
+    backoff_ratio: float = 3.0
     longest_s: float = 6.0
     postpone_s: float = 2.0
-    arrival_tries_count: int = 3
+    arrival_tries_count: int = 4
     report_tries_count: int = 5
 
     def stretched(self, ratio: float) -> Patience:

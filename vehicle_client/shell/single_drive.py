@@ -83,9 +83,8 @@ def single_drive_table(driven: SingleDrive, section: RoadSection) -> Table:
     speed = drive.truth.velocity_x_mps
     table = Table("what", "value", title=f"One drive over {section.name}", title_justify="left", show_header=False)
     table.add_row("the drive", drive.outcome.value.replace("_", " "))
-    table.add_row(
-        "friction", f"{drive.label_mu:.3f} (road {drive.plan.base_friction_mu:.2f}, worn tyres take the rest)"
-    )
+    table.add_row("friction of the road", f"{drive.plan.base_friction_mu:.2f} for a new tyre")
+    table.add_row("friction of these tyres", f"{drive.label_mu:.3f}")
     table.add_row("speed", f"{mps_to_kph(float(speed.min())):.0f} to {mps_to_kph(float(speed.max())):.0f} km/h")
     table.add_row("grip in use at most", f"{drive.peak_utilisation_ratio:.0%}")
     table.add_row("sideslip at most", f"{np.rad2deg(drive.peak_sideslip_rad):.1f} degrees")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from typing import TYPE_CHECKING, Any, Self
 
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
@@ -83,10 +83,12 @@ def advice_text(advisory: Advisory | None) -> str:
 
 def fleet_report_to_json(report: FleetReport) -> dict[str, Any]:
     """Return the account as JSON shows it."""
-    fields = asdict(report)
-    fields["passage_ids"] = [passage_id.hex() for passage_id in report.passage_ids]
-    fields["simulated_s"] = round(report.simulated_s, 1)
-    return fields
+    # Not `asdict` for the whole: it takes counters apart.
+    shown = {field.name: getattr(report, field.name) for field in fields(report)}
+    shown["air"] = asdict(report.air)
+    shown["passage_ids"] = [passage_id.hex() for passage_id in report.passage_ids]
+    shown["simulated_s"] = round(report.simulated_s, 1)
+    return shown
 
 
 def fleet_report_table(report: FleetReport) -> Table:

@@ -100,7 +100,7 @@ def test_the_age_is_encoded_anew_for_every_try():
     # The summary is lost twice; map and advisory took the first three fates.
     _, air = a_passage([Fate.ARRIVES] * 3 + [LOST, LOST])
     (heard,) = [m for m in air.unit.heard if isinstance(m, Passage)]
-    assert heard.age_s == pytest.approx(1.0 + 0.5 + 1.0)
+    assert heard.age_s == pytest.approx(1.0 + 0.5 + 1.5)
 
 
 def test_without_any_answer_the_vehicle_gives_up_within_its_tries_and_may_spool():
@@ -115,11 +115,11 @@ def test_without_any_answer_the_vehicle_gives_up_within_its_tries_and_may_spool(
     record = exchange.record()
     assert record.ending is Ending.UNANSWERED
     assert record.may_spool
-    assert (record.arrival_tries_count, record.report_tries_count, record.frames_sent_count) == (3, 5, 8)
+    assert (record.arrival_tries_count, record.report_tries_count, record.frames_sent_count) == (4, 5, 9)
 
 
 def test_a_vehicle_that_never_got_the_map_sends_no_summary():
-    record, air = a_passage([LOST] * 3)
+    record, air = a_passage([LOST] * 4)
     assert record.ending is Ending.NO_MAP
     assert not record.may_spool
     assert air.unit.heard == []
@@ -129,7 +129,7 @@ def test_a_refusal_for_now_is_tried_again_later():
     record, air = a_passage(outcomes=[Rejected(Reason.BUSY), Rejected(Reason.NO_MODEL), Accepted()])
     assert record.ending is Ending.ACCEPTED
     assert record.report_tries_count == 3
-    assert air.now_s > 30.0 + 2.0 + 4.0
+    assert air.now_s > 30.0 + 2.0 + 6.0
 
 
 def test_a_unit_that_stays_busy_leaves_the_passage_to_the_spool():

@@ -1,0 +1,145 @@
+"""The command `roadgrip-vehicle`, alone and against a real unit."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from deploy.demo.unit import UnitProcess, migrate, write_config
+from roadgrip.features import KINEMATIC_FEATURES
+from vehicle_client.__main__ import app, main
+
+SPEEDUP = "200"
+
+
+def run(*arguments: str | Path) -> tuple[int, str]:
+    result = CliRunner().invoke(app, [str(a) for a in arguments])
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return result.exit_code, result.stdout
+
+
+@pytest.mark.parametrize("command", [[], ["fleet"], ["replay"], ["drive"]])
+def test_help_teaches(command: list[str]):
+    code, out = run(*command, "--help")
+    assert code == 0
+    assert "Usage" in out
+
+
+def test_the_version_is_said():
+    code, out = run("--version")
+    assert code == 0
+    assert out.startswith("roadgrip ")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "needle"),
+    [
+        (["drive", "--section", "no-such-road"], "long-turn"),
+        (["fleet", "--rsu", "carrier-pigeon"], "udp://HOST:PORT"),
+        (["fleet", "--friction-change", "soon"], "0.25@0.5"),
+        (["fleet", "--signing-key", "no-such.pem"], "no-such.pem"),
+        (["fleet", "--trusted-key", "no-such.pem"], "no-such.pem"),
+        (["replay", "no-such.csv", "--dry-run"], "no-such.csv"),
+        (["fleet", "--section", "rsu:long-turn", "--rsu", "udp://127.0.0.1:9"], "did not answer"),
+    ],
+)
+def test_what_cannot_be_is_one_line_and_exit_code_2(
+    arguments: list[str], needle: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    monkeypatch.setattr(sys, "argv", ["roadgrip-vehicle", *arguments])
+    with pytest.raises(SystemExit) as leaving:
+        main()
+    assert leaving.value.code == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("roadgrip-vehicle: ")
+    assert needle in line
+
+
+@pytest.mark.sim
+def test_a_drive_is_drawn_kept_and_replayed(tmp_path: Path):
+    pytest.importorskip("matplotlib")
+    picture, recording = tmp_path / "drive.png", tmp_path / "drive.csv.gz"
+    code, out = run("drive", "-s", "s-turn", "--sensors", "ideal", "--json", "--plot", picture, "--trace", recording)
+    assert code == 0
+    driven = json.loads(out)
+    assert driven["outcome"] == "completed"
+    assert driven["sideslip_error_rad"] < driven["peak_sideslip_rad"]
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    code, out = run("replay", recording, "-s", "s-turn", "--dry-run", "--json")
+    assert code == 0
+    # A fix is kept in the row nearest to it, so the match may move by a fraction of a sample.
+    replayed = json.loads(out)["passage"]
+    assert list(replayed["values"]) == [f.name for f in KINEMATIC_FEATURES]
+    assert replayed["values"] == pytest.approx(driven["passage"]["values"], rel=0.05, abs=0.02)
+
+
+@pytest.mark.sim
+def test_a_drive_for_a_person_is_a_table():
+    code, out = run("drive", "-s", "sharp-turn")
+    assert code == 0
+    assert "friction of the road" in out
+
+
+@pytest.mark.sim
+def test_a_part_of_a_recording_without_the_section_is_no_passage(tmp_path: Path):
+    recording = tmp_path / "drive.csv"
+    run("drive", "-s", "s-turn", "--json", "--trace", recording)
+    code, out = run("replay", recording, "-s", "s-turn", "--dry-run", "--json", "--to", "12")
+    assert code == 1
+    assert json.loads(out)["passage"]["refusal"]["reason"] in {"passage_aborted", "wrong_road"}
+    code, out = run("replay", recording, "-s", "s-turn", "--dry-run", "--to", "12")
+    assert code == 1
+    assert "no passage" in out
+
+
+@pytest.fixture(scope="module")
+def unit(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, str]]:
+    folder = tmp_path_factory.mktemp("unit")
+    files, http_port, udp_port = write_config(folder, section="s-turn", speedup_ratio=float(SPEEDUP), bundle=None)
+    migrate(files)
+    process = UnitProcess(files, section_id="s-turn", http_port=http_port)
+    try:
+        process.wait_until_ready()
+        yield {"http": process.url, "udp": f"udp://127.0.0.1:{udp_port}"}
+    finally:
+        process.stop()
+
+
+@pytest.mark.system
+@pytest.mark.sim
+@pytest.mark.parametrize(("carrier", "seed"), [("udp", "4"), ("http", "5")])
+def test_a_fleet_reports_to_a_real_unit(unit: dict[str, str], carrier: str, seed: str, tmp_path: Path):
+    code, out = run(
+        *["fleet", "--rsu", unit[carrier], "--section", "rsu:s-turn", "--vehicles", "8", "--base-friction", "0.6"],
+        *["--arrivals-per-hour", "400", "--speedup", SPEEDUP, "--loss", "0.05", "--doubled", "0.1", "--json"],
+        *["--spool", str(tmp_path / "spool"), "--seed", seed],
+    )
+    report = json.loads(out)
+    assert code == 0
+    assert report["vehicles_count"] == 8
+    assert report["accepted_count"] == report["drives"]["completed"] > 0
+    assert report["counted_count"] == report["accepted_count"]
+    assert report["budget_peak_count"] <= 12
+    assert report["air"]["lost_count"] > 0
+    assert list((tmp_path / "spool").iterdir()) == []
+
+
+@pytest.mark.system
+@pytest.mark.sim
+def test_a_recording_is_acknowledged_by_a_real_unit(unit: dict[str, str], tmp_path: Path):
+    recording = tmp_path / "drive.csv"
+    run("drive", "-s", "s-turn", "--seed", "9", "--json", "--trace", recording)
+    code, out = run("replay", recording, "-s", "s-turn", "--rsu", unit["udp"], "--json")
+    assert code == 0
+    exchange = json.loads(out)["exchange"]
+    assert (exchange["ending"], exchange["counted"]) == ("accepted", True)
+    code, out = run("replay", recording, "-s", "s-turn", "--rsu", unit["http"])
+    # The same numbers under another passage id: somebody replays what he heard.
+    assert code == 1
+    assert "replayed" in out
