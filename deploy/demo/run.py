@@ -11,6 +11,7 @@ from __future__ import annotations
 import asyncio
 import os
 import shutil
+import signal
 import sys
 import time
 from dataclasses import dataclass
@@ -170,7 +171,10 @@ def run_demo(choices: Choices, view: View, console: Console, *, keep_running: bo
     with view.step(f"preparing {choices.folder}"):
         prepare_folder(choices.folder)
         files, http_port, udp_port = write_config(
-            choices.folder, section=choices.section, speedup_ratio=choices.speedup_ratio, bundle=choices.bundle
+            choices.folder,
+            section=_section_file(choices.section),
+            speedup_ratio=choices.speedup_ratio,
+            bundle=choices.bundle,
         )
         check_settings(files)
     with view.step("migrating the database"):
@@ -205,6 +209,11 @@ def run_demo(choices: Choices, view: View, console: Console, *, keep_running: bo
     if not keep_running:
         _tell(files, choices.folder, view, url=None)
     return all(check.kept for check in checks)
+
+
+def _section_file(text: str) -> str:
+    """Return how the unit's settings, which lie in another folder, name the section."""
+    return str(Path(text).resolve()) if Path(text).is_file() else text
 
 
 def _draw(story: Story, checks: list[Check], section: RoadSection, choices: Choices, view: View) -> None:
@@ -271,8 +280,15 @@ def demo(  # noqa: PLR0917 - typer reads options by name
     raise typer.Exit(0 if kept else 1)
 
 
+def _leave(number: int, _: object) -> None:
+    """Leave through every `finally`, so that the unit stops too."""
+    sys.exit(128 + number)
+
+
 def main() -> None:
     """Run the demo; what cannot be is one line and exit code 2, never a traceback."""
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, _leave)
     try:
         app()
     except RoadgripError as error:

@@ -46,11 +46,19 @@ class UnitFiles:
 
 
 def write_config(
-    folder: Path, *, section: str, speedup_ratio: float, bundle: Path | None
+    folder: Path, *, section: str, speedup_ratio: float, bundle: Path | None, usual_ports: bool = True
 ) -> tuple[UnitFiles, int, int]:
-    """Write the settings of a unit into a folder; return its files, its HTTP port and its UDP port."""
-    http_port = _free_port(socket.SOCK_STREAM, PREFERRED_HTTP_PORT)
-    udp_port = _free_port(socket.SOCK_DGRAM, PREFERRED_UDP_PORT)
+    """Write the settings of a unit into a folder; return its files, its HTTP port and its UDP port.
+
+    Args:
+        folder: Where the unit keeps everything.
+        section: As in the unit's settings; a path must be absolute or relative to the folder.
+        speedup_ratio: How fast the unit's clock runs.
+        bundle: The model; None takes the packaged one.
+        usual_ports: Whether to take the unit's usual ports when they are free; else the machine chooses.
+    """
+    http_port = _free_port(socket.SOCK_STREAM, PREFERRED_HTTP_PORT if usual_ports else 0)
+    udp_port = _free_port(socket.SOCK_DGRAM, PREFERRED_UDP_PORT if usual_ports else 0)
     files = UnitFiles(folder / "rsu.toml", folder / "rsu.sqlite3", folder / "rsu.log")
     model = "" if bundle is None else f'\n[model]\nbundle_path = "{bundle.resolve()}"\n'
     files.config.write_text(
@@ -105,7 +113,11 @@ class UnitProcess:
         self._last_number = 0
         self._log: IO[bytes] = files.log.open("wb")
         self._process = subprocess.Popen(
-            [*_rsu(), "serve", "--config", str(files.config)], stdout=self._log, stderr=subprocess.STDOUT
+            [*_rsu(), "serve", "--config", str(files.config)],
+            stdout=self._log,
+            stderr=subprocess.STDOUT,
+            # Ctrl-C reaches the demo alone; the demo stops the unit as an operator would.
+            process_group=0,
         )
 
     def wait_until_ready(self) -> None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from roadgrip.errors import ConfigurationError
 from roadgrip.records import PASSAGE_ID_BYTES
 from vehicle_client.shell.conversation import SpedUpClock, converse, send_all
-from vehicle_client.shell.exchange import Exchange, Stage
+from vehicle_client.shell.exchange import Exchange, Patience, Stage
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -19,9 +19,17 @@ if TYPE_CHECKING:
 
 FROM_UNIT_PREFIX = "rsu:"
 """`rsu:long-turn` means: ask the unit for the map of long-turn."""
+MAP_PATIENCE = Patience(longest_s=1.0)
+"""A person waits for this answer."""
 
 
-async def ask_for_section(section_id: str, *, uplink: Uplink, open_codec: Callable[[bytes], FrameCodec]) -> RoadSection:
+async def ask_for_section(
+    section_id: str,
+    *,
+    uplink: Uplink,
+    open_codec: Callable[[bytes], FrameCodec],
+    patience: Patience = MAP_PATIENCE,
+) -> RoadSection:
     """Return the map of a section as the unit sends it to a vehicle that arrives.
 
     Raises:
@@ -29,7 +37,7 @@ async def ask_for_section(section_id: str, *, uplink: Uplink, open_codec: Callab
     """
     clock = SpedUpClock()
     passage_id = secrets.token_bytes(PASSAGE_ID_BYTES)
-    exchange = Exchange(passage_id=passage_id, section_id=section_id, codec=open_codec(passage_id))
+    exchange = Exchange(passage_id=passage_id, section_id=section_id, codec=open_codec(passage_id), patience=patience)
     await send_all(exchange.begin(now_s=clock.now_s()), uplink)
     while exchange.stage is Stage.ARRIVING:
         await converse(exchange, uplink, clock, until_s=exchange.wake_at_s)

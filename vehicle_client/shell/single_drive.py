@@ -137,7 +137,7 @@ def draw_drive(driven: SingleDrive, section: RoadSection, path: Path) -> None:
         ("steering, degrees", _deg(truth.steer_rad), None if signals is None else _deg(signals.steer_rad)),
         ("sideslip, degrees", _deg(truth.sideslip_rad), None if signals is None else _deg(signals.sideslip_rad)),
         (
-            "yaw rate excess, degrees/s",
+            "yaw rate excess,\ndegrees/s",
             _deg(true_excess),
             None if signals is None else _deg(signals.yaw_rate_excess_radps),
         ),

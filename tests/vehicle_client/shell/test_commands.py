@@ -101,7 +101,9 @@ def test_a_part_of_a_recording_without_the_section_is_no_passage(tmp_path: Path)
 @pytest.fixture(scope="module")
 def unit(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, str]]:
     folder = tmp_path_factory.mktemp("unit")
-    files, http_port, udp_port = write_config(folder, section="s-turn", speedup_ratio=float(SPEEDUP), bundle=None)
+    files, http_port, udp_port = write_config(
+        folder, section="s-turn", speedup_ratio=float(SPEEDUP), bundle=None, usual_ports=False
+    )
     migrate(files)
     process = UnitProcess(files, section_id="s-turn", http_port=http_port)
     try:
