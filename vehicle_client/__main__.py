@@ -266,10 +266,9 @@ async def _section(text: str, address: UnitAddress, keys: Keys) -> RoadSection:
 
 async def _run_fleet(plan: FleetPlan, address: UnitAddress, keys: Keys, spool: Path | None) -> FleetReport:
     from vehicle_client.pipeline import summarise_passage
-    from vehicle_client.shell.fleet import FleetTools, run_fleet
+    from vehicle_client.shell.fleet import FleetTools, run_fleet, simulator
     from vehicle_client.shell.uplink import uplinks_to
     from vehicle_client.shell.views import FleetProgress
-    from vehicle_client.simulator.run import simulate_passage
 
     with contextlib.ExitStack() as stack:
         folder = spool if spool is not None else Path(stack.enter_context(tempfile.TemporaryDirectory()))
@@ -280,7 +279,7 @@ async def _run_fleet(plan: FleetPlan, address: UnitAddress, keys: Keys, spool: P
                 FleetTools(
                     open_uplink=open_uplink,
                     open_codec=keys.codecs_for(plan.section.section_id, speedup_ratio=plan.speedup_ratio),
-                    simulate=simulate_passage,
+                    simulate=simulator(),
                     summarise=summarise_passage,
                 ),
                 spool_folder=folder,

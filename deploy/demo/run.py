@@ -26,7 +26,7 @@ from deploy.demo.terminal import LiveView, PlainView, View, checks_table
 from deploy.demo.unit import DemoError, UnitFiles, UnitProcess, check_settings, migrate, write_config
 from roadgrip.errors import RoadgripError
 from roadgrip.sections import read_section
-from vehicle_client.shell.fleet import FleetPlan, FleetTools, FrictionChange, run_fleet
+from vehicle_client.shell.fleet import FleetPlan, FleetTools, FrictionChange, run_fleet, simulator
 from vehicle_client.shell.keys import Keys
 from vehicle_client.shell.uplink import AirFaults, parse_unit_address, uplinks_to
 from vehicle_client.shell.views import fleet_report_table
@@ -114,7 +114,6 @@ async def play(story: Story, plan: FleetPlan, unit: UnitProcess, view: View, *, 
     import httpx
 
     from vehicle_client.pipeline import summarise_passage
-    from vehicle_client.simulator.run import simulate_passage
 
     started_wall_s = time.monotonic()
 
@@ -144,7 +143,7 @@ async def play(story: Story, plan: FleetPlan, unit: UnitProcess, view: View, *, 
         tools = FleetTools(
             open_uplink=open_uplink,
             open_codec=Keys().codecs_for(plan.section.section_id, speedup_ratio=plan.speedup_ratio),
-            simulate=simulate_passage,
+            simulate=simulator(),
             summarise=summarise_passage,
         )
         fleet = asyncio.create_task(run_fleet(plan, tools, spool_folder=folder / "spool", watch=watch))

@@ -163,6 +163,19 @@ Simulate: TypeAlias = "Callable[[RoadSection, PassagePlan], Drive]"
 Summarise: TypeAlias = "Callable[[Trace, RoadSection], PassageSummary | Rejected]"
 
 
+def simulator() -> Simulate:
+    """Return the simulator, which the live client does without.
+
+    Raises:
+        ConfigurationError: It is not installed.
+    """
+    try:
+        from vehicle_client.simulator.run import simulate_passage
+    except ModuleNotFoundError as error:
+        raise ConfigurationError(f"simulated drives need: pip install 'roadgrip[sim]' ({error})") from error
+    return simulate_passage
+
+
 def patience_at(speedup_ratio: float) -> Patience:
     """Return how long vehicles wait when their clock runs so fast; the unit answers in its own time all the same."""
     live = Patience()

@@ -14,6 +14,7 @@ from roadgrip.units import mps_to_kph
 from vehicle_client.estimation.vehicle_geometry import XC90
 from vehicle_client.estimation.yaw_rate import yaw_rate_excess_radps
 from vehicle_client.pipeline import Summarised, summarise_passage
+from vehicle_client.shell.fleet import simulator
 from vehicle_client.shell.replay import made_to_json
 from vehicle_client.shell.sources import write_trace_csv
 from vehicle_client.simulator.plan import SensorGrade, draw_plan
@@ -38,9 +39,12 @@ class SingleDrive:
 
 
 def drive_once(section: RoadSection, *, base_friction_mu: float, grade: SensorGrade, seed: int) -> SingleDrive:
-    """Return one drive, fixed by its seed, and its summary."""
-    from vehicle_client.simulator.run import simulate_passage
+    """Return one drive, fixed by its seed, and its summary.
 
+    Raises:
+        ConfigurationError: The simulator is not installed.
+    """
+    simulate_passage = simulator()
     plan = draw_plan(
         np.random.default_rng(seed),
         section=section,

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import asyncio
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -21,6 +22,7 @@ from vehicle_client.shell.fleet import (
     draw_visits,
     parse_friction_change,
     run_fleet,
+    simulator,
 )
 from vehicle_client.shell.fleet_events import (
     FleetEvent,
@@ -236,3 +238,9 @@ def test_a_change_of_friction_is_read_as_people_write_it():
 def test_what_is_no_change_of_friction_is_refused_with_an_example(text: str):
     with pytest.raises(ConfigurationError, match=r"0\.25@0\.5"):
         parse_friction_change(text)
+
+
+def test_a_client_without_the_simulator_says_what_to_install(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setitem(sys.modules, "vehicle_client.simulator.run", None)
+    with pytest.raises(ConfigurationError, match=r"roadgrip\[sim\]"):
+        simulator()
