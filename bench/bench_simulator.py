@@ -1,0 +1,105 @@
+"""How fast the simulator drives: simulated seconds per CPU second, on one core.
+
+python bench/bench_simulator.py             the table, and bench/results/simulator.json
+python bench/bench_simulator.py --runs 200  more drives per road and grade
+
+Everything is on: driver, stability systems, roughness, sensors. Drives that leave the road count with what they drove.
+The compiled part alone is timed on the same drives; the rest draws noise and packs arrays. Compiling is not counted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import platform
+import time
+from pathlib import Path
+
+import numba
+import numpy as np
+
+from roadgrip.sections import read_section
+from roadgrip.units import SAMPLE_S
+from vehicle_client.simulator import journey
+from vehicle_client.simulator.run import SensorGrade, draw_plan, simulate_passages, warm_up
+
+ROOT = Path(__file__).resolve().parents[1]
+ROADS = ("long-turn", "s-turn", "sharp-turn")
+BASE_FRICTIONS_MU = (0.25, 0.35, 0.5, 0.7)
+SEED = 11
+
+
+class Stopwatch:
+    """CPU time spent inside the compiled part, measured by standing in its place."""
+
+    def __init__(self) -> None:
+        """Start at zero."""
+        self.cpu_s = 0.0
+        self._drive = journey.drive
+
+    def __call__(self, *arguments: object) -> tuple[int, int]:
+        """Run a drive and add what it took."""
+        started_s = time.process_time()
+        answer = self._drive(*arguments)
+        self.cpu_s += time.process_time() - started_s
+        return answer
+
+
+def speed_of(name: str, grade: SensorGrade, *, runs_count: int) -> dict[str, str | float]:
+    """Return how fast the drives over one road are simulated."""
+    section = read_section(name)
+    rng = np.random.default_rng(SEED)
+    plans = [
+        draw_plan(rng, section=section, base_friction_mu=BASE_FRICTIONS_MU[i % len(BASE_FRICTIONS_MU)], grade=grade)
+        for i in range(runs_count)
+    ]
+    stopwatch = Stopwatch()
+    journey.drive, original = stopwatch, journey.drive
+    try:
+        started_s = time.process_time()
+        drives = simulate_passages(section, plans)
+        cpu_s = time.process_time() - started_s
+    finally:
+        journey.drive = original
+    simulated_s = sum(drive.trace.samples_count for drive in drives) * SAMPLE_S
+    return {
+        "road": name,
+        "sensors": grade.value,
+        "drives": float(len(drives)),
+        "completed": float(sum(drive.completed for drive in drives)),
+        "simulated s": simulated_s,
+        "CPU s": cpu_s,
+        "simulated s per CPU s": simulated_s / cpu_s,
+        "of the compiled part": simulated_s / stopwatch.cpu_s,
+        "step us": stopwatch.cpu_s / simulated_s * journey.STEP_S * 1e6,
+    }
+
+
+def table_of(rows: list[dict[str, str | float]]) -> str:
+    """Return rows with the same keys as a table."""
+    columns = list(rows[0])
+    lines = [f"| {' | '.join(columns)} |", f"|{'---|' * len(columns)}"]
+    lines += [f"| {' | '.join(v if isinstance(v, str) else f'{v:.4g}' for v in row.values())} |" for row in rows]
+    return "\n".join(lines) + "\n"
+
+
+def main() -> None:
+    """Print the table and keep the figures."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser.add_argument("--runs", type=int, default=60, help="drives per road and sensor grade")
+    parser.add_argument("--out", type=Path, default=ROOT / "bench" / "results" / "simulator.json")
+    arguments = parser.parse_args()
+    warm_up()
+    rows = [speed_of(name, grade, runs_count=arguments.runs) for name in ROADS for grade in SensorGrade]
+    simulated_s = sum(float(row["simulated s"]) for row in rows)
+    overall = simulated_s / sum(float(row["CPU s"]) for row in rows)
+    print(f"the simulator on one core ({platform.machine()}, numba {numba.__version__})\n")
+    print(table_of(rows))
+    print(f"in all {overall:.0f} simulated seconds per CPU second")
+    arguments.out.parent.mkdir(parents=True, exist_ok=True)
+    figures = {"simulated_s_per_cpu_s": overall, "rows": rows}
+    arguments.out.write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
