@@ -103,9 +103,11 @@ def summarise_passage(
     refusal = _refusal(inside=inside, valid=valid, speed_mps=rough)
     if refusal is not None:
         return refusal
+    # In the car's axes, from where they are subtracted: else a tilted sensor's share of gravity counts twice.
+    mounted = levelled(_sensed(trace), vehicle)
     offsets = sensor_offsets(
-        trace.accel_y_mps2,
-        trace.yaw_rate_radps,
+        mounted.accel_y_mps2,
+        mounted.yaw_rate_radps,
         trace.steer_rad,
         rough,
         valid & (trace.time_s < match.entry_s),
@@ -194,14 +196,17 @@ def kinematic_signals(
     )
 
 
-def _inertial(trace: Trace, vehicle: VehicleGeometry, offsets: SensorOffsets) -> InertialSignals:
-    signals = InertialSignals(
+def _sensed(trace: Trace) -> InertialSignals:
+    return InertialSignals(
         accel_x_mps2=trace.accel_x_mps2,
         accel_y_mps2=trace.accel_y_mps2,
         roll_rate_radps=trace.roll_rate_radps,
         yaw_rate_radps=trace.yaw_rate_radps,
     )
-    signals = levelled(signals, vehicle)
+
+
+def _inertial(trace: Trace, vehicle: VehicleGeometry, offsets: SensorOffsets) -> InertialSignals:
+    signals = levelled(_sensed(trace), vehicle)
     signals = replace(
         signals,
         accel_y_mps2=signals.accel_y_mps2 - offsets.accel_y_mps2,

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from roadgrip.errors import TraceError
 from roadgrip.features import KINEMATIC_FEATURES, STATISTICS, TABLE_DIGEST
 from roadgrip.records import QualityFlag, Reason, Rejected
+from roadgrip.units import GRAVITY_MPS2
 from tests.vehicle_client.synthetic import (
     clock_s,
     drive_over,
@@ -142,6 +143,27 @@ def test_approach_and_exit_do_not_leak_into_the_summary():
     short = made(summarise_passage(TRACE, SECTION)).summary
     trace, _ = drive_over(s_turn, approach_m=200.0, exit_m=150.0)
     assert np.allclose(quantities(made(summarise_passage(trace, SECTION)).summary), quantities(short), atol=1e-3)
+
+
+def test_a_tilted_sensor_is_put_level_once():
+    # What mounting explains is no offset: before levelling the share of gravity would be taken out a second time.
+    tilt = 0.05
+    vehicle = replace(XC90, imu_roll_rad=tilt)
+    turned = replace(TRACE, accel_y_mps2=TRACE.accel_y_mps2 * np.cos(tilt) + GRAVITY_MPS2 * np.sin(tilt))
+    result = made(summarise_passage(turned, SECTION, vehicle=vehicle))
+    assert result.offsets.accel_y_mps2 == pytest.approx(
+        made(summarise_passage(TRACE, SECTION)).offsets.accel_y_mps2, abs=1e-3
+    )
+
+
+@pytest.mark.parametrize("slope", [-0.08, 0.0, 0.05])
+def test_the_bank_of_the_map_places_the_roll_and_changes_nothing_else(slope):
+    # The accelerometer feels body and road as one tilt; what the map calls bank is only no roll of the body.
+    trace = with_noise(TRACE, np.random.default_rng(4))
+    level, banked = signals_of(trace), signals_of(trace, road(s_turn, cross_slope_ratio=slope))
+    assert np.allclose(banked.sideslip_rad, level.sideslip_rad, atol=1e-12)
+    assert np.allclose(banked.sideslip_rate_radps, level.sideslip_rate_radps, atol=1e-12)
+    assert np.allclose(level.chassis_roll_rad - banked.chassis_roll_rad, np.arctan(slope), atol=1e-12)
 
 
 # Positions -----------------------------------------------------------------------------------------------------------

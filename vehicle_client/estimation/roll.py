@@ -26,7 +26,8 @@ def chassis_roll_rad(
 
     Complementary filter, forward and backward. Slowly changing roll comes from the accelerometer: what it reads
     beyond the centripetal acceleration is gravity. Quickly changing roll comes from the integrated roll rate. Both
-    see body and road together, so the bank of the map is taken off.
+    see body and road together, so the bank of the map is taken off. `road_accel_y_mps2` adds it again: the map decides
+    how much of the tilt is called roll, not how much gravity is taken out.
 
     The slow part takes a constant accelerometer offset for roll, and so takes it out. It takes a lateral velocity
     that changes more slowly than the crossover for roll as well, and takes that out too: slow sideslip is not seen.
