@@ -74,17 +74,18 @@ def exchange_messages(section: RoadSection) -> dict[str, Message]:
             passage_id, section.section_id, section.version, KinematicSummary(tuple(values), TABLE_DIGEST, 31.27), 2.35
         ),
         Receipt(passage_id, Accepted()),
-        Beacon(section.section_id, section.version, speed_mps, reason, confidence, 600.0),
+        Beacon(section.section_id, section.version, speed_mps, reason, confidence, 600.0, 1_770_000_000),
     ]
     return {kind_of(message).name: message for message in messages}
 
 
 def frames_of(message: Message, section: RoadSection, *, signer: Signer | None) -> tuple[bytes, ...]:
     """Return the frames of a message."""
+    exchange_id = exchange_id_of(bytes(range(16)))
     return split_into_frames(
         kind_of(message),
-        encode_message(message, signer=signer),
-        exchange_id=exchange_id_of(bytes(range(16))),
+        encode_message(message, signer=signer, exchange_id=exchange_id),
+        exchange_id=exchange_id,
         section_key=section_key_of(section.section_id),
     )
 

@@ -50,7 +50,7 @@ def message_of(complete: Complete, *, expected: frozenset[Kind], verifier: Verif
     """
     if complete.kind not in expected:
         raise WireError(Reason.MALFORMED, f"{complete.kind.name} flies the other way")
-    message = decode_message(complete.kind, complete.payload, verifier=verifier)
+    message = decode_message(complete.kind, complete.payload, verifier=verifier, exchange_id=complete.exchange_id)
     passage_id: bytes | None = None
     section_id: str | None = None
     match message:

@@ -79,6 +79,11 @@ BANK_ORIGIN_CODES: Mapping[BankOrigin, int] = {
 }
 
 
-def external_aad_of(kind: Kind) -> bytes:
-    """Return what a signature covers besides the message, without being sent: protocol, version and kind."""
-    return f"{PROTOCOL_NAME}/{PROTOCOL_VERSION}/{kind.name}".encode()
+def external_aad_of(kind: Kind, *, exchange_id: bytes) -> bytes:
+    """Return what a signature covers besides the message, without being sent: protocol, version and kind.
+
+    That of an ADVISORY also covers the exchange id, which the vehicle drew at random: an old advisory, put into new
+    frames and played again, does not verify. A MAP is as true later; the other kinds hold a passage id or their time.
+    """
+    name = f"{PROTOCOL_NAME}/{PROTOCOL_VERSION}/{kind.name}".encode()
+    return name + b"/" + exchange_id if kind is Kind.ADVISORY else name

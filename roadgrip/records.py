@@ -255,7 +255,11 @@ class Receipt:
 
 @dataclass(frozen=True, slots=True)
 class Beacon:
-    """The unit's periodic announcement, by which vehicles find it."""
+    """The unit's periodic announcement, by which vehicles find it.
+
+    Attributes:
+        issued_unix_s: The unit's wall clock, or 0 when that clock cannot be trusted; tells an old one played again.
+    """
 
     section_id: str
     map_version: str
@@ -263,6 +267,7 @@ class Beacon:
     reason: AdvisoryReason
     confidence: Confidence
     valid_for_s: float
+    issued_unix_s: int
 
 
 Message: TypeAlias = Arrival | MapOffer | AdvisoryNotice | Passage | Receipt | Beacon

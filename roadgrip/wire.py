@@ -88,7 +88,7 @@ _ALL_NOT_COUNTED = sum(NotCounted)
 _INTERVAL_FIELDS_COUNT = 10
 
 
-def encode_message(message: Message, *, signer: Signer | None = None) -> bytes:
+def encode_message(message: Message, *, signer: Signer | None = None, exchange_id: bytes = b"") -> bytes:
     """Return the bytes of a message, the payload that `roadgrip.frames.split_into_frames` cuts.
 
     Numbers are rounded to the steps of the format, see `rounded_to_wire`.
@@ -96,6 +96,7 @@ def encode_message(message: Message, *, signer: Signer | None = None) -> bytes:
     Args:
         message: The record.
         signer: Signs it, if given.
+        exchange_id: In whose frames it flies; the signature of an ADVISORY covers it.
 
     Raises:
         WireError: The record holds what has no spelling on the air; the reason is the one a receiver would give.
@@ -103,25 +104,28 @@ def encode_message(message: Message, *, signer: Signer | None = None) -> bytes:
     kind = kind_of(message)
     payload = strict_dumps(_CODECS[kind].to_fields(message))
     if signer is not None:
-        payload = sign(payload, signer=signer, external_aad=external_aad_of(kind))
+        payload = sign(payload, signer=signer, external_aad=external_aad_of(kind, exchange_id=exchange_id))
     _check_size(kind, payload)
     return payload
 
 
-def decode_message(kind: Kind, payload: bytes, *, verifier: Verifier | None = None) -> Message:
+def decode_message(
+    kind: Kind, payload: bytes, *, verifier: Verifier | None = None, exchange_id: bytes = b""
+) -> Message:
     """Return the record that the bytes of a message hold.
 
     Args:
         kind: What the frames said it is.
         payload: The bytes, whole.
         verifier: Checks the signature; see `roadgrip.signing.open_payload` for what None means.
+        exchange_id: In whose frames it came.
 
     Raises:
         WireError: OVERSIZED, MALFORMED, NOT_FINITE, OUT_OF_RANGE, IMPOSSIBLE_AGE, IMPOSSIBLE_DURATION, UNSIGNED,
             BAD_SIGNATURE or UNKNOWN_KEY.
     """
     _check_size(kind, payload)
-    content = open_payload(payload, verifier=verifier, external_aad=external_aad_of(kind))
+    content = open_payload(payload, verifier=verifier, external_aad=external_aad_of(kind, exchange_id=exchange_id))
     message: Message = _CODECS[kind].from_fields(strict_loads(content))
     return message
 
@@ -171,6 +175,9 @@ def _arrival_from_fields(value: object) -> Arrival:
 
 
 # ADVISORY and BEACON
+
+_BEACON_KEYS = frozenset({0, 1, 2, 3, 4, 5, 7})
+"""Without 6, which every ADVISORY has: neither passes for the other, signed or not."""
 
 _INTERVAL_LIMITS: tuple[tuple[str, int, int], ...] = (
     ("the lower friction", 10_000, UINT16_MAX),
@@ -274,11 +281,12 @@ def _beacon_to_fields(beacon: Beacon) -> Fields:
         3: ADVISORY_REASON_CODES[beacon.reason],
         4: CONFIDENCE_CODES[beacon.confidence],
         5: quanta(beacon.valid_for_s, per_unit=100, name="the validity"),
+        7: quanta(beacon.issued_unix_s, per_unit=1, name="the time of issue", high=UNIX_LIMIT_S),
     }
 
 
 def _beacon_from_fields(value: object) -> Beacon:
-    fields = check_keys(value, required=frozenset(range(6)))
+    fields = check_keys(value, required=_BEACON_KEYS)
     return Beacon(
         section_id=checked_section_id(fields[0]),
         map_version=digest_in(fields, 1, name="the map version"),
@@ -286,6 +294,7 @@ def _beacon_from_fields(value: object) -> Beacon:
         reason=meaning_of(fields[3], _ADVISORY_REASONS, name="reason of an advisory"),
         confidence=meaning_of(fields[4], _CONFIDENCES, name="confidence"),
         valid_for_s=int_in(fields, 5, name="the validity") / 100,
+        issued_unix_s=int_in(fields, 7, name="the time of issue", high=UNIX_LIMIT_S),
     )
 
 

@@ -43,6 +43,7 @@ from roadgrip.signing import Signer, Verifier
 from roadgrip.wire import encode_message, kind_of
 from rsu_app.intake import PassageIntake
 from rsu_app.observability import Metrics
+from rsu_app.rate import RateLimit
 from rsu_app.usecases import RoadSideUnit
 
 _log = structlog.get_logger("roadgrip")
@@ -71,30 +72,6 @@ class Taken(NamedTuple):
 
 
 NOTHING = Taken()
-
-
-class RefusalBudget:
-    """How many rejections may still be sent: a flood of rubbish must not make the unit a source of another flood.
-
-    Args:
-        limit_per_s: Rejections in a second, as many may be saved up; 0 sends none.
-    """
-
-    def __init__(self, limit_per_s: float) -> None:
-        self._limit_per_s = limit_per_s
-        self._capacity = max(1.0, limit_per_s) if limit_per_s > 0.0 else 0.0
-        self._left = self._capacity
-        self._at_s: float | None = None
-
-    def take(self, *, now_s: float) -> bool:
-        """Return whether one more may be sent, and count it if so."""
-        elapsed_s = 0.0 if self._at_s is None else now_s - self._at_s
-        self._at_s = now_s
-        self._left = min(self._capacity, self._left + elapsed_s * self._limit_per_s)
-        if self._left < 1.0:
-            return False
-        self._left -= 1.0
-        return True
 
 
 class FrameGateway:
@@ -131,7 +108,7 @@ class FrameGateway:
         self._metrics = metrics
         self._now_s = now_s
         self._random_bytes = random_bytes
-        self._refusals = RefusalBudget(refusals_per_s)
+        self._refusals = RateLimit(refusals_per_s)  # a flood of rubbish must not make the unit a source of another
         self._signer = signer
         self._verifier = verifier
         self._reassembler = Reassembler(
@@ -269,7 +246,9 @@ class FrameGateway:
     def _out(self, message: Message, *, exchange_id: bytes, section_key: bytes) -> OutFrames:
         kind = kind_of(message)
         payload = (
-            self.map_message(message) if isinstance(message, MapOffer) else encode_message(message, signer=self._signer)
+            self.map_message(message)
+            if isinstance(message, MapOffer)
+            else encode_message(message, signer=self._signer, exchange_id=exchange_id)
         )
         frames = split_into_frames(kind, payload, exchange_id=exchange_id, section_key=section_key)
         return OutFrames(kind.name.lower(), frames)

@@ -19,6 +19,8 @@ import structlog
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, disable_created_metrics, generate_latest
 from prometheus_client.process_collector import ProcessCollector
 
+from rsu_app.rate import RateLimit
+
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
@@ -50,7 +52,8 @@ class Metrics:
         self.ready = self._gauge("roadgrip_ready", "1 while the unit is ready, as `/health/ready` says.")
         self.passages = self._counter(
             "roadgrip_passages_total",
-            "Passages answered, repetitions included, by outcome (`counted`, `uncounted`, `rejected`), reason and way.",
+            "Passages answered, by outcome (`counted`, `uncounted`, `rejected`; `repeated`: accepted before), "
+            "reason and way.",
             "section",
             "outcome",
             "reason",
@@ -157,24 +160,16 @@ class LineBudget:
         self, lines_limit_per_s: float, on_drop: Callable[[], None], now_s: Callable[[], float] = time.monotonic
     ) -> None:
         """Start with one second's worth of lines."""
-        self._limit_per_s = lines_limit_per_s
+        self._limit = RateLimit(lines_limit_per_s)
         self._on_drop = on_drop
         self._now_s = now_s
-        self._left = lines_limit_per_s
-        self._at_s = now_s()
 
     def __call__(self, _logger: object, method: str, event: MutableMapping[str, Any]) -> MutableMapping[str, Any]:
         """Return the event, or drop it; warnings and worse always pass."""
-        now_s = self._now_s()
-        self._left = min(self._limit_per_s, self._left + (now_s - self._at_s) * self._limit_per_s)
-        self._at_s = now_s
-        if method in {"warning", "error", "critical", "exception"}:
+        if method in {"warning", "error", "critical", "exception"} or self._limit.take(now_s=self._now_s()):
             return event
-        if self._left < 1.0:
-            self._on_drop()
-            raise structlog.DropEvent
-        self._left -= 1.0
-        return event
+        self._on_drop()
+        raise structlog.DropEvent
 
 
 def configure_logging(

@@ -57,7 +57,7 @@ def test_a_signed_message_is_what_the_rfc_says_byte_by_byte():
     external = b"roadgrip/1/BEACON"
     structure = b"\x84\x6aSignature1" + b"\x4d" + protected + b"\x51" + external + b"\x41" + payload
     expected = b"\xd2\x84\x4d" + protected + b"\xa0" + b"\x41" + payload + b"\x58\x40" + PRIVATE_KEY.sign(structure)
-    assert external_aad_of(Kind.BEACON) == external
+    assert external_aad_of(Kind.BEACON, exchange_id=bytes(8)) == external
     assert sign(payload, signer=Signer(key_id, PRIVATE_KEY), external_aad=external) == expected
 
 
@@ -95,8 +95,16 @@ def test_a_known_id_with_another_key_is_a_bad_signature(required):
 
 def test_a_signature_for_one_kind_does_not_hold_for_another():
     payload = encode_message(SAMPLES["beacon"])
-    signed = sign(payload, signer=SIGNER, external_aad=external_aad_of(Kind.ARRIVAL))
+    signed = sign(payload, signer=SIGNER, external_aad=external_aad_of(Kind.ARRIVAL, exchange_id=b""))
     assert reason_of(Kind.BEACON, signed, VERIFIER) is Reason.BAD_SIGNATURE
+
+
+def test_an_advisory_that_is_played_again_in_another_exchange_does_not_verify():
+    recorded = encode_message(SAMPLES["advisory"], signer=SIGNER, exchange_id=b"earlier.")
+    assert decode_message(Kind.ADVISORY, recorded, verifier=VERIFIER, exchange_id=b"earlier.") == SAMPLES["advisory"]
+    with pytest.raises(WireError) as caught:
+        decode_message(Kind.ADVISORY, recorded, verifier=VERIFIER, exchange_id=b"just now")
+    assert caught.value.reason is Reason.BAD_SIGNATURE
 
 
 def test_a_signature_covers_the_statistics():
@@ -150,7 +158,7 @@ def test_what_begins_like_a_signed_message_and_is_none_is_malformed(parts, verif
 
 def test_a_signed_message_inside_a_signed_message_is_malformed():
     inner = encode_message(SAMPLES["beacon"], signer=SIGNER)
-    outer = sign(inner, signer=SIGNER, external_aad=external_aad_of(Kind.BEACON))
+    outer = sign(inner, signer=SIGNER, external_aad=external_aad_of(Kind.BEACON, exchange_id=b""))
     assert reason_of(Kind.BEACON, outer, VERIFIER) is Reason.MALFORMED
 
 

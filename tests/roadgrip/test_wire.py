@@ -154,7 +154,9 @@ def longest_messages() -> list[Message]:
         AdvisoryNotice(section_id, SECTION.version, advisory, 2**40),
         Passage(PASSAGE_ID, section_id, SECTION.version, summary, 4e7),
         Receipt(PASSAGE_ID, Rejected(Reason.PASSAGE_ABORTED, "\N{GRINNING FACE}" * 200)),
-        Beacon(section_id, SECTION.version, 180.0, AdvisoryReason.WINTER_SPEED_NO_MODEL, Confidence.RECOMMENDED, 4e7),
+        Beacon(
+            section_id, SECTION.version, 180.0, AdvisoryReason.WINTER_SPEED_NO_MODEL, Confidence.RECOMMENDED, 4e7, 2**40
+        ),
     ]
 
 

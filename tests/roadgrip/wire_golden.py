@@ -31,10 +31,11 @@ def section_id_of(message: Message) -> str:
 
 
 def frames_of(message: Message, *, signer: Signer | None) -> tuple[bytes, ...]:
+    exchange_id = exchange_id_of(PASSAGE_ID)
     return split_into_frames(
         kind_of(message),
-        encode_message(message, signer=signer),
-        exchange_id=exchange_id_of(PASSAGE_ID),
+        encode_message(message, signer=signer, exchange_id=exchange_id),
+        exchange_id=exchange_id,
         section_key=section_key_of(section_id_of(message)),
     )
 
@@ -45,7 +46,9 @@ def message_in(frames: tuple[bytes, ...], *, signed: bool) -> Message:
     completes = [assembly.offer(parse_frame(frame), source="", now_s=0.0) for frame in frames]
     complete = completes[-1]
     assert complete is not None
-    return decode_message(complete.kind, complete.payload, verifier=VERIFIER if signed else None)
+    return decode_message(
+        complete.kind, complete.payload, verifier=VERIFIER if signed else None, exchange_id=complete.exchange_id
+    )
 
 
 def hex_dump(frames: tuple[bytes, ...]) -> str:

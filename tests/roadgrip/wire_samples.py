@@ -110,6 +110,7 @@ BEACON = Beacon(
     AdvisoryReason.WINTER_SPEED_FEW_VEHICLES,
     Confidence.INSUFFICIENT,
     120.0,
+    1_770_000_000,
 )
 
 SAMPLES: dict[str, Message] = {
@@ -184,7 +185,9 @@ intervals = st.builds(
 )
 advisories = st.builds(Advisory, speeds_mps, advisory_reasons, confidences, st.none() | intervals, seconds)
 notices = st.builds(AdvisoryNotice, section_ids, digests, advisories, st.integers(0, 2**40))
-beacons = st.builds(Beacon, section_ids, digests, speeds_mps, advisory_reasons, confidences, seconds)
+beacons = st.builds(
+    Beacon, section_ids, digests, speeds_mps, advisory_reasons, confidences, seconds, st.integers(0, 2**40)
+)
 
 
 @st.composite

@@ -63,6 +63,7 @@ def make_unit(
     signer: Signer | None = None,
     verifier: Verifier | None = None,
     broadcast: bool = True,
+    detections_count: int = -1,
     now_s: Callable[[], float] | None = None,
     **site_changes: Any,
 ) -> UnitUnderTest:
@@ -104,6 +105,7 @@ def make_unit(
         intake=intake,
         gateway=gateway,
         broadcast=send if broadcast else None,
+        detection_allowed=lambda: detections_count < 0 or len(broadcasts) < detections_count,
         observe=observe,
         streams=StreamDesk(metrics),
         metrics=metrics,
@@ -137,7 +139,7 @@ def frames_of(message: Message, *, passage_id: bytes, section_id: str, signer: S
     return list(
         split_into_frames(
             kind_of(message),
-            encode_message(message, signer=signer),
+            encode_message(message, signer=signer, exchange_id=exchange_id_of(passage_id)),
             exchange_id=exchange_id_of(passage_id),
             section_key=section_key_of(section_id),
         )

@@ -1,10 +1,12 @@
 import asyncio
 from dataclasses import replace
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roadgrip.frames import exchange_id_of, unread_passage_id
+from roadgrip.errors import WireError
+from roadgrip.frames import exchange_id_of, parse_frame, split_into_frames, unread_passage_id
 from roadgrip.records import (
     RSU_FRAME_BUDGET,
     VEHICLE_FRAME_BUDGET,
@@ -22,7 +24,7 @@ from roadgrip.signing import Verifier
 from roadgrip.wire import rounded_to_wire
 from rsu_app.gateway import RECEIPTS_RESERVED_COUNT
 from tests.rsu_app.fakes import make_passage, make_section
-from tests.rsu_app.sites import UnitUnderTest, frame_of_passage, frames_of, make_unit, radio, read_replies
+from tests.rsu_app.sites import UnitUnderTest, frame_of_passage, frames_of, make_unit, radio, read_frames, read_replies
 from tests.rsu_app.test_refusals import keyed
 
 SECTION = make_section()
@@ -210,6 +212,18 @@ def test_answers_are_signed_where_there_is_a_key():
     assert isinstance(notice, AdvisoryNotice)
     assert isinstance(receipt, Receipt)
     assert isinstance(beacon, Beacon)
+
+
+def test_a_recorded_advisory_does_not_verify_in_the_exchange_of_another_vehicle():
+    signer, verifier = keyed(3)
+    under_test = make_unit(section=SECTION, signer=signer)
+    taken = under_test.gateway.take(arrival_frame(), via="udp")
+    (recorded,) = (parse_frame(frame) for out in taken.replies if out.name == "advisory" for frame in out.frames)
+    (forged,) = split_into_frames(
+        recorded.kind, recorded.fragment, exchange_id=b"of today", section_key=recorded.section_key
+    )
+    with pytest.raises(WireError, match="signature"):
+        read_frames([forged], verifier=verifier)
 
 
 def test_a_frame_about_another_section_than_its_message_is_refused():

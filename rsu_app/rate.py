@@ -1,0 +1,31 @@
+"""How many of a kind in a second: the one bound for whatever a sender could otherwise cause without end."""
+
+from __future__ import annotations
+
+
+class RateLimit:
+    """So many in a second, as many of which may be saved up for a burst.
+
+    Args:
+        limit_per_s: How many in a second; 0 allows none.
+    """
+
+    def __init__(self, limit_per_s: float) -> None:
+        self._limit_per_s = limit_per_s
+        self._capacity = max(1.0, limit_per_s) if limit_per_s > 0.0 else 0.0
+        self._left = self._capacity
+        self._at_s: float | None = None
+
+    def take(self, *, now_s: float) -> bool:
+        """Return whether one more is allowed, and count it if so.
+
+        Args:
+            now_s: Any monotonic clock, the same at every call.
+        """
+        elapsed_s = 0.0 if self._at_s is None else now_s - self._at_s
+        self._at_s = now_s
+        self._left = min(self._capacity, self._left + elapsed_s * self._limit_per_s)
+        if self._left < 1.0:
+            return False
+        self._left -= 1.0
+        return True
