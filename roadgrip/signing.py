@@ -24,6 +24,8 @@ from roadgrip.records import Reason
 KEY_ID_BYTES = 8
 KEY_ID_LIMIT_BYTES = 32
 SIGNATURE_BYTES = 64
+SIGNED_MORE_BYTES = 110
+"""No signature makes a message longer by more than this, whatever the length of the key's id."""
 SIGN1_INITIAL_BYTE = 0xC0 | TAG_SIGN1
 """What a signed message begins with; an unsigned one begins with a map."""
 

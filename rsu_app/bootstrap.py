@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import structlog
 
-from roadgrip.errors import BundleError, ConfigurationError, RoadgripError, SectionError, StoreError, WireError
+from roadgrip.errors import BundleError, ConfigurationError, FeatureTableError, SectionError, StoreError, WireError
 from roadgrip.exchange import ExchangeLedger
 from roadgrip.features import TABLE_DIGEST
 from roadgrip.records import FrictionInterval, MapOffer, Rejected
@@ -29,6 +29,7 @@ from rsu_app.gateway import FrameGateway
 from rsu_app.intake import PassageIntake, TimedModel
 from rsu_app.observability import Metrics
 from rsu_app.ports import Clock, FrictionModel, PassageStore
+from rsu_app.rate import RateLimit
 from rsu_app.settings import Settings
 from rsu_app.usecases import RoadSideUnit, UnitLimits
 
@@ -55,7 +56,7 @@ class Parts:
 
 
 def build(settings: Settings, *, metrics: Metrics, sections: tuple[RoadSection, ...]) -> Parts:
-    """Return the parts of a unit; opens and migrates the database.
+    """Return the parts of a unit; opens and migrates the database, or goes on trying to.
 
     Args:
         settings: What the operator chose.
@@ -66,14 +67,15 @@ def build(settings: Settings, *, metrics: Metrics, sections: tuple[RoadSection, 
         RoadgripError: Something that was chosen cannot be.
     """
     from rsu_app.adapters.http.stream import StreamDesk
-    from rsu_app.adapters.store import WriterLimits, open_store
+    from rsu_app.adapters.store import WriterLimits, open_or_standby
 
-    clock = _clock(settings)
     signer, verifier = load_keys(settings)
     check_maps(sections, signer=signer)
-    model = _model_or_none(settings)
+    model, model_absence = _model_or_absence(settings)
     policy = _advisory_policy(settings)
-    store = open_store(settings.database.path, limits=WriterLimits(queue_count=settings.database.queue_limit_count))
+    writing = WriterLimits(queue_count=settings.database.queue_limit_count)
+    store = open_or_standby(settings.database.path, limits=writing)
+    clock = _clock(settings)
     unit = RoadSideUnit(
         sections=sections,
         store=store,
@@ -97,6 +99,7 @@ def build(settings: Settings, *, metrics: Metrics, sections: tuple[RoadSection, 
             retention_s=settings.database.retention_s,
             rows_count=settings.database.rows_limit_count,
         ),
+        model_absence=model_absence,
     )
     intake = PassageIntake(unit, metrics=metrics, in_flight_limit_count=settings.ingest.in_flight_limit_count)
     gateway = FrameGateway(
@@ -129,11 +132,13 @@ def site_of_parts(parts: Parts, *, endpoint: FrameEndpoint | None) -> Site:
     from rsu_app.adapters.http.site import Site
 
     settings = parts.settings
+    detections = RateLimit(settings.udp.detections_per_s)
     return Site(
         unit=parts.unit,
         intake=parts.intake,
         gateway=parts.gateway,
         broadcast=_broadcaster(parts, endpoint),
+        detection_allowed=lambda: detections.take(now_s=time.monotonic()),
         observe=lambda: observe(parts),
         streams=parts.streams,
         metrics=parts.metrics,
@@ -270,16 +275,19 @@ def upgrade_database(path: Path) -> str:
 
 
 def check_database(path: Path) -> list[str]:
-    """Return what is wrong with the database; nothing if it is sound and of this software's schema."""
-    from rsu_app.adapters.store import check
+    """Return what is wrong with the database; nothing if it is whole and of this software's schema."""
+    from rsu_app.adapters.store import check, integrity_problems
 
     if not path.exists():
         return ["it does not exist yet; `roadgrip-rsu db upgrade` or `serve` make it"]
     try:
+        problems = integrity_problems(path)
         state = check(path)
     except StoreError as error:
         return [str(error)]
-    return [] if state.up_to_date else [f"revision {state.current}, this software needs {state.expected}"]
+    if not state.up_to_date:
+        problems.append(f"revision {state.current}, this software needs {state.expected}")
+    return problems
 
 
 def software_version() -> str:
@@ -296,18 +304,18 @@ def _clock(settings: Settings) -> Clock:
         speedup_ratio=ratio,
         warning="FOR DEMONSTRATIONS ONLY: this unit's hour is not an hour, and its stored times are invented",
     )
-    return AcceleratedClock(ratio)
+    from rsu_app.adapters.store import newest_received_unix_s
+
+    return AcceleratedClock(ratio, not_before_unix_s=newest_received_unix_s(settings.database.path))
 
 
-def _model_or_none(settings: Settings) -> FrictionModel | None:
-    """Return the model, or None with an error in the log: a unit without one still says the winter speed."""
+def _model_or_absence(settings: Settings) -> tuple[FrictionModel | None, str]:
+    """Return the model, or None and why there is none: a unit without one still says the winter speed."""
     try:
-        return load_model(settings)
-    except RoadgripError as error:
-        if not isinstance(error, BundleError):
-            error = BundleError(str(error))
+        return load_model(settings), ""
+    except (BundleError, FeatureTableError) as error:
         _log.error("model_unusable", bundle=str(bundle_path(settings)), error=str(error))
-        return None
+        return None, f"no model is loaded: {error}"
 
 
 def _advisory_policy(settings: Settings) -> AdvisoryPolicy:

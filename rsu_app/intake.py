@@ -12,7 +12,7 @@ from roadgrip.records import Accepted, NotCounted, Outcome, Passage, Reason, Rej
 from roadgrip.units import FloatArray
 from rsu_app.observability import Metrics
 from rsu_app.ports import FrictionModel
-from rsu_app.usecases import RoadSideUnit
+from rsu_app.usecases import AcceptedAgain, RoadSideUnit
 
 _log = structlog.get_logger("roadgrip")
 
@@ -67,7 +67,9 @@ class PassageIntake:
     def note(self, passage: Passage, outcome: Outcome, *, via: str, duration_s: float = 0.0) -> None:
         """Count an outcome and write its canonical line."""
         if isinstance(outcome, Accepted):
-            verdict, reason = ("counted", "") if outcome.counted else ("uncounted", flag_names(outcome.flags))
+            verdict, reason = "counted" if outcome.counted else "uncounted", flag_names(outcome.flags)
+            if isinstance(outcome, AcceptedAgain):
+                verdict = "repeated"
         else:
             verdict, reason = "rejected", outcome.reason.value
         section = self._metrics.section_label(passage.section_id)

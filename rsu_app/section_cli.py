@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console
@@ -18,10 +18,7 @@ from roadgrip.sections import packaged_names, read_section
 from roadgrip.units import mps_to_kph
 from rsu_app.road_import.fit import FitReport, ImportRequest, section_of_survey
 from rsu_app.road_import.reading import BYTES_LIMIT, RoadFormat, survey_of_bytes
-from rsu_app.section_report import curvature_sketch, curves_of, plan_sketch, section_figures
-
-if TYPE_CHECKING:
-    pass
+from rsu_app.section_report import curvature_sketch, curves_of, map_message_problem, plan_sketch, section_figures
 
 section_app = typer.Typer(
     help="Make and look at maps: the sections a unit serves.",
@@ -117,6 +114,9 @@ def import_section(
             bank_cap_ratio=bank_cap,
         ),
     )
+    problem = map_message_problem(section)
+    if problem is not None:
+        raise SectionError(f"vehicles could not be sent this section ({problem}); cut it with --from and --to")
     _write(output, section_to_json(section))
     if as_json:
         typer.echo(json.dumps({"file": str(output), **section_figures(section), "fit": _fit_figures(report)}, indent=1))
@@ -252,8 +252,9 @@ def _g_at_limit(figures: dict[str, Any]) -> str:
 
 def _on_the_air(figures: dict[str, Any]) -> str:
     frames = figures["map_message_frames"]
-    told = "too long to be sent: cut the section" if frames is None else f"{frames} frame(s)"
-    return f"{figures['map_message_bytes']} bytes, {told}"
+    if frames is None:
+        return "cannot be sent: cut the section"
+    return f"{figures['map_message_bytes']} bytes, {frames} frame(s)"
 
 
 def _fit_figures(report: FitReport) -> dict[str, Any]:

@@ -10,15 +10,16 @@ import numpy as np
 
 from roadgrip.errors import WireError
 from roadgrip.features import TABLE_DIGEST
-from roadgrip.frames import EXCHANGE_ID_BYTES, section_key_of, split_into_frames
-from roadgrip.protocol import Kind
+from roadgrip.protocol import FRAGMENT_BYTES, FRAMES_LIMIT_COUNT, Kind
 from roadgrip.records import MapOffer
+from roadgrip.signing import SIGNED_MORE_BYTES
 from roadgrip.units import mps_to_kph
 from roadgrip.wire import encode_message
 
 if TYPE_CHECKING:
     from roadgrip.section import RoadSection
 
+MAP_LIMIT_BYTES = FRAMES_LIMIT_COUNT[Kind.MAP] * FRAGMENT_BYTES
 CURVE_SHARE = 0.25
 """A curve is where the road bends at least this share of its sharpest bend, to one side."""
 _STRAIGHT_RADIUS_M = 1000.0
@@ -175,16 +176,20 @@ def _bar(share: float) -> str:
     return _BARS[round(share * (len(_BARS) - 1))]
 
 
-def _wire_figures(section: RoadSection) -> dict[str, int | None]:
-    """Return what the map costs on the air; no frames if it is too long to be sent."""
-    payload = encode_message(MapOffer(section, (TABLE_DIGEST,)))
+def map_message_problem(section: RoadSection) -> str | None:
+    """Return why vehicles could not be sent this map, or None if it can be sent, signed or not."""
     try:
-        frames = split_into_frames(
-            Kind.MAP,
-            payload,
-            exchange_id=bytes(EXCHANGE_ID_BYTES),
-            section_key=section_key_of(section.section_id),
-        )
-    except WireError:
-        return {"map_message_bytes": len(payload), "map_message_frames": None}
-    return {"map_message_bytes": len(payload), "map_message_frames": len(frames)}
+        size_bytes = len(encode_message(MapOffer(section, (TABLE_DIGEST,))))
+    except WireError as error:
+        return error.detail
+    if size_bytes + SIGNED_MORE_BYTES > MAP_LIMIT_BYTES:
+        return f"a map of {size_bytes} bytes; {MAP_LIMIT_BYTES - SIGNED_MORE_BYTES} leave room for a signature"
+    return None
+
+
+def _wire_figures(section: RoadSection) -> dict[str, int | None]:
+    """Return what the unsigned map costs on the air; nothing known if it cannot be sent."""
+    if map_message_problem(section) is not None:
+        return {"map_message_bytes": None, "map_message_frames": None}
+    size_bytes = len(encode_message(MapOffer(section, (TABLE_DIGEST,))))
+    return {"map_message_bytes": size_bytes, "map_message_frames": -(-size_bytes // FRAGMENT_BYTES)}

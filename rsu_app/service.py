@@ -21,6 +21,8 @@ _log = structlog.get_logger("roadgrip")
 
 REFRESH_PERIOD_S = 2.0
 """How often the unit looks whether time alone has changed its advice."""
+CATCH_UP_PERIOD_S = 10.0
+"""How often the unit tries what a missing date or a full disk kept it from at the start."""
 
 
 def run(settings: Settings) -> None:
@@ -54,7 +56,6 @@ async def _run(settings: Settings) -> None:
         for note in parts.store.notes:
             _log.info("store_note", note=note)
         restored_count = await _restored(parts)
-        await parts.unit.note_live_model()
         endpoint, udp_address = await _endpoint(parts)
         if endpoint is not None:
             stack.push_async_callback(endpoint.close)
@@ -89,7 +90,7 @@ async def _run(settings: Settings) -> None:
 
 async def _restored(parts: Parts) -> int:
     try:
-        return await parts.unit.restore()
+        return await parts.unit.catch_up()
     except StoreError as error:
         _log.error("window_not_restored", error=str(error))
         return 0
@@ -117,6 +118,11 @@ async def _chores(parts: Parts, endpoint: FrameEndpoint | None, server: HttpServ
     async def refresh() -> None:
         parts.unit.refresh()
 
+    async def catch_up() -> None:
+        restored_count = await parts.unit.catch_up()
+        if restored_count:
+            _log.info("window_restored", restored_count=restored_count)
+
     async def prune() -> None:
         deleted_count = await parts.unit.prune()
         if deleted_count:
@@ -124,6 +130,7 @@ async def _chores(parts: Parts, endpoint: FrameEndpoint | None, server: HttpServ
 
     chores = [
         _repeat("refresh", refresh, period_s=REFRESH_PERIOD_S),
+        _repeat("catch_up", catch_up, period_s=CATCH_UP_PERIOD_S),
         _repeat("prune", prune, period_s=parts.settings.database.prune_period_s),
     ]
     udp = parts.settings.udp

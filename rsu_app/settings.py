@@ -45,9 +45,7 @@ class _Group(BaseModel):
 class DatabaseSettings(_Group):
     """Where passages are kept, and for how long."""
 
-    path: Path = Field(
-        default=Path("roadgrip.sqlite3"), description="SQLite file; its folder must exist and be writable."
-    )
+    path: Path = Field(default=Path("roadgrip.sqlite3"), description="SQLite file; its folder is made if missing.")
     queue_limit_count: int = Field(
         default=1_024, ge=1, le=100_000, description="Passages that may wait for a commit; more are refused as `busy`."
     )
@@ -94,10 +92,16 @@ class WindowSettings(_Group):
     )
     recommended_from_count: int = Field(default=50, ge=1, description="Vehicles from which it is recommended.")
     stale_after_s: float = Field(
-        default=1_800.0, gt=0.0, description="Age of the newest passage from which the window says nothing about now."
+        default=1_800.0,
+        gt=0.0,
+        le=86_400.0,
+        description="Age of the newest passage from which the window says nothing about now.",
     )
     valid_at_most_s: float = Field(
-        default=300.0, gt=0.0, description="Longest time a published interval may be used after it was read."
+        default=300.0,
+        gt=0.0,
+        le=86_400.0,
+        description="Longest time a published interval may be used after it was read.",
     )
 
     @model_validator(mode="after")
@@ -126,7 +130,9 @@ class AdvisorySettings(_Group):
         le=10.0,
         description="By how much the curve speed must exceed the next step of 5 km/h before the advice rises to it.",
     )
-    valid_for_s: float = Field(default=300.0, gt=0.0, description="How long an advice may be shown at most.")
+    valid_for_s: float = Field(
+        default=300.0, gt=0.0, le=86_400.0, description="How long an advice may be shown at most."
+    )
 
 
 class HttpSettings(_Group):
@@ -174,6 +180,12 @@ class UdpSettings(_Group):
     broadcast_port: Port = Field(default=4_741, description="UDP port that beacons and detections are sent to.")
     beacon_period_s: float = Field(
         default=10.0, ge=0.0, le=3_600.0, description="How often each section is announced; 0 sends no beacons."
+    )
+    detections_per_s: float = Field(
+        default=5.0,
+        ge=0.1,
+        le=1_000.0,
+        description="Detections that are broadcast in a second, over all sections; more are refused as `busy`.",
     )
     receive_buffer_bytes: int = Field(
         default=4_194_304,

@@ -22,14 +22,16 @@ class AcceleratedClock:
 
     Args:
         speedup_ratio: Seconds that pass here per second of the machine; above zero.
+        not_before_unix_s: Where the wall clock starts at the earliest: a unit that runs ahead of the world must not
+            fall behind what it has stored when it is started again.
     """
 
-    def __init__(self, speedup_ratio: float) -> None:
+    def __init__(self, speedup_ratio: float, *, not_before_unix_s: float = 0.0) -> None:
         if not speedup_ratio > 0.0:
             raise ValueError(f"a clock cannot run at {speedup_ratio} times its pace")
         self._speedup_ratio = speedup_ratio
         self._start_monotonic_s = time.monotonic()
-        self._start_unix_s = time.time()
+        self._start_unix_s = max(time.time(), not_before_unix_s)
 
     def monotonic_s(self) -> float:
         """Return seconds since an arbitrary moment; never goes back, never jumps."""

@@ -65,10 +65,15 @@ def check_golden(model: FrictionModel) -> None:
         raise BundleError(f"bundle {bundle_id} misses its {len(golden.rows)} golden vectors by {difference:.2e}")
 
 
-def model_check(model: FrictionModel | None) -> Check:
-    """Return whether there is a model and it still answers its golden vectors."""
+def model_check(model: FrictionModel | None, *, absence: str) -> Check:
+    """Return whether there is a model and it still answers its golden vectors.
+
+    Args:
+        model: The live one, if there is one.
+        absence: Why there is none, if there is none.
+    """
     if model is None:
-        return Check("model", ok=False, detail="no model is loaded")
+        return Check("model", ok=False, detail=absence)
     try:
         check_golden(model)
     except BundleError as error:

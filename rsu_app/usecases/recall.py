@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections import OrderedDict
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,6 +13,11 @@ from rsu_app.domain.plausibility import summary_values
 from rsu_app.ports import StoredEstimate
 
 DIGEST_BYTES = 16
+
+
+@dataclass(frozen=True, slots=True)
+class AcceptedAgain(Accepted):
+    """The answer to a passage that was accepted before: the same as then. Told apart only to be counted apart."""
 
 
 def values_digest(passage: Passage) -> bytes:
@@ -46,7 +52,7 @@ def outcome_of_repetition(known: StoredEstimate, *, passage_id: bytes, content: 
         return Rejected(Reason.REPLAYED, "the same values were sent under another passage id")
     if known.content_digest != content:
         return Rejected(Reason.PASSAGE_ID_REUSED, "this passage id was used for another passage")
-    return Accepted(known.flags)
+    return AcceptedAgain(known.flags)
 
 
 class Recall:

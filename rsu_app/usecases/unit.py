@@ -85,6 +85,7 @@ class RoadSideUnit:
         sections: The maps this unit serves, at least one.
         store: Where passages are kept.
         model: The regressor, or None; then passages are refused and the winter speed is advised.
+        model_absence: Why there is no model, if there is none; readiness says it.
         clock: Both clocks.
         policy: What the road authority decides about advice.
         section_policies: Decisions for single sections that replace `policy`, by section id.
@@ -107,6 +108,7 @@ class RoadSideUnit:
         section_policies: Mapping[str, AdvisoryPolicy] | None = None,
         interval_policy: IntervalPolicy | None = None,
         limits: UnitLimits | None = None,
+        model_absence: str = "no model is loaded",
     ) -> None:
         self._limits = limits or UnitLimits()
         self._interval_policy = interval_policy or IntervalPolicy()
@@ -117,10 +119,12 @@ class RoadSideUnit:
         self._subscribers_count = 0
         self._pending: set[asyncio.Task[Outcome]] = set()
         self._restored = False
+        self._model_noted = False
         self._states = _states(sections, policy or AdvisoryPolicy(), section_policies or {}, self._limits)
         if model is not None:
             check_golden(model)
         self._model = model
+        self._model_absence = model_absence
 
     @property
     def section_ids(self) -> tuple[str, ...]:
@@ -132,11 +136,25 @@ class RoadSideUnit:
         """What the live model says about itself."""
         return None if self._model is None else self._model.manifest
 
+    async def catch_up(self) -> int:
+        """Return how many estimates entered the windows by doing what a start does and could not be done yet.
+
+        Restores the windows and writes down which model is live. A clock without the date or a disk without room may
+        stand in the way of either; call it again every few seconds, it does nothing once both are done.
+
+        Raises:
+            StoreError: The store cannot be read.
+        """
+        counted_count = 0 if self._restored else await self.restore()
+        if not self._model_noted:
+            await self._note_live_model()
+        return counted_count
+
     async def restore(self) -> int:
         """Return how many estimates entered the windows again from what the store remembers.
 
-        Needs a plausible wall clock, since a stored passage has no other age. Until there is one, nothing is
-        restored, and `prune` tries again. Passages that were ingested meanwhile are not counted twice.
+        Needs a plausible wall clock, since a stored passage has no other age; without one nothing is restored.
+        Passages that were ingested meanwhile are not counted twice.
 
         Raises:
             StoreError: The store cannot be read.
@@ -234,6 +252,7 @@ class RoadSideUnit:
             reason=advisory.reason,
             confidence=advisory.confidence,
             valid_for_s=advisory.valid_for_s,
+            issued_unix_s=self._issued_unix_s(),
         )
 
     def subscribe(self, section_id: str) -> Subscription | Rejected:
@@ -275,33 +294,32 @@ class RoadSideUnit:
         check_golden(model)
         self._model = model
         self.refresh()
-        await self.note_live_model()
+        self._model_noted = False
+        await self._note_live_model()
 
-    async def note_live_model(self) -> None:
+    async def _note_live_model(self) -> None:
         """Write into the ledger which model is live now. A store that cannot write does not stop the model."""
         manifest = self.model_manifest
         event = Event(
             at_unix_s=self._clock.unix_s(),
             kind="model_live",
             subject="" if manifest is None else manifest.bundle_id,
-            detail="no model" if manifest is None else manifest.name,
+            detail=self._model_absence if manifest is None else manifest.name,
         )
         try:
             await self._store.record_event(event)
         except StoreError:
             return
+        self._model_noted = manifest is self.model_manifest
 
     async def prune(self) -> int:
         """Return how many passages were deleted to stay within the store's budget.
 
-        Also restores the windows if the clock was not plausible at the start and is by now. Ages are only judged by
-        a clock that is plausible and steady.
+        Ages are only judged by a clock that is plausible and steady.
 
         Raises:
             StoreError: The store does not answer.
         """
-        if not self._restored:
-            await self.restore()
         clock = self._clock_watch.check()
         before_unix_s = self._clock.unix_s() - self._limits.retention_s if clock.ok else None
         return await self._store.prune(before_unix_s=before_unix_s, rows_limit_count=self._limits.rows_count)
@@ -310,7 +328,7 @@ class RoadSideUnit:
         """Return whether the unit can do its work right now, with the reason for every doubt."""
         return Readiness(
             checks=(
-                model_check(self._model),
+                model_check(self._model, absence=self._model_absence),
                 await store_check(self._store),
                 self._clock_watch.check(),
                 *(self._window_check(state) for state in self._states.values()),
@@ -385,8 +403,11 @@ class RoadSideUnit:
             section_id=state.section.section_id,
             map_version=state.section.version,
             advisory=self._advisory(state),
-            issued_unix_s=int(self._clock.unix_s()) if self._clock_watch.plausible else 0,
+            issued_unix_s=self._issued_unix_s(),
         )
+
+    def _issued_unix_s(self) -> int:
+        return int(self._clock.unix_s()) if self._clock_watch.plausible else 0
 
     def _window_check(self, state: _SectionState) -> Check:
         interval = self._interval(state)

@@ -10,10 +10,12 @@ import pytest
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat, PublicFormat
 
-from roadgrip.errors import ConfigurationError
-from roadgrip.records import Advisory, FrictionInterval
+from roadgrip.errors import ConfigurationError, StoreError
+from roadgrip.features import TABLE_DIGEST
+from roadgrip.records import Advisory, AdvisoryReason, FrictionInterval
 from roadgrip.section import GnssAnchor, build_section
 from rsu_app.adapters.http.app import create_app
+from rsu_app.adapters.store import standby
 from rsu_app.bootstrap import Parts, build, check_maps, load_keys, load_sections, observe, site_of_parts
 from rsu_app.observability import Metrics
 from rsu_app.settings import load_settings
@@ -63,6 +65,61 @@ def test_a_restart_restores_the_window(folder):
         assert isinstance(after, FrictionInterval)
         assert (before.median_mu, before.passages_count) == (after.median_mu, after.passages_count)
         await second.unit.close()
+
+    asyncio.run(scenario())
+
+
+def test_a_unit_that_runs_ahead_of_the_world_keeps_its_window_through_a_restart(folder):
+    async def scenario() -> None:
+        ahead = "[clock]\nspeedup_ratio = 10000.0\n"
+        first = parts_of(folder, ahead)
+        await asyncio.sleep(0.05)
+        assert {answer.status_code for answer in await posted(first, 12)} == {200}
+        await first.unit.close()
+        second = parts_of(folder, ahead)
+        assert await second.unit.catch_up() == 12
+        await second.unit.close()
+
+    asyncio.run(scenario())
+
+
+def test_a_unit_whose_database_cannot_be_opened_starts_and_takes_it_up_later(folder, monkeypatch):
+    monkeypatch.setattr(standby, "RETRY_PERIOD_S", 0.0)
+
+    async def scenario() -> None:
+        (folder / "rsu.sqlite3").mkdir()
+        parts = parts_of(folder)
+        (refused,) = await posted(parts, 1)
+        assert (refused.status_code, refused.json()["reason"]) == (503, "store_unavailable")
+        readiness = await parts.unit.readiness()
+        assert [check.ok for check in readiness.checks if check.name == "store"] == [False]
+        assert any("unable to open" in check.detail for check in readiness.checks)
+        advisory = parts.unit.current_advisory("long-turn")
+        assert isinstance(advisory, Advisory)
+        assert advisory.reason is AdvisoryReason.WINTER_SPEED_FEW_VEHICLES
+        with pytest.raises(StoreError):
+            await parts.unit.catch_up()
+        await observe(parts)
+        (folder / "rsu.sqlite3").rmdir()
+        await parts.unit.catch_up()
+        assert (await parts.unit.readiness()).ready
+        assert [answer.status_code for answer in await posted(parts, 1)] == [200]
+        assert any("only later" in note for note in parts.store.notes)
+        await parts.unit.close()
+
+    asyncio.run(scenario())
+
+
+def test_a_refused_bundle_is_named_in_readiness(folder):
+    async def scenario() -> None:
+        manifest = folder / "bundle" / "manifest.json"
+        manifest.write_text(manifest.read_text(encoding="utf-8").replace(TABLE_DIGEST, "0" * 16), encoding="utf-8")
+        parts = parts_of(folder)
+        (check, *_) = (await parts.unit.readiness()).checks
+        assert not check.ok
+        assert TABLE_DIGEST in check.detail
+        assert "0" * 16 in check.detail
+        await parts.unit.close()
 
     asyncio.run(scenario())
 

@@ -58,6 +58,17 @@ def test_a_file_that_is_no_database_fails_the_check(config):
     assert json.loads(said("db", "check", "--json", "--config", str(config), code=1))["ok"] is False
 
 
+def test_a_database_with_a_spoilt_page_fails_the_check(config):
+    said("db", "upgrade", "--config", str(config))
+    path = config.parent / "rsu.sqlite3"
+    content = bytearray(path.read_bytes())
+    content[4096 * 3 : 4096 * 4] = bytes(4096)
+    path.write_bytes(content)
+    told = json.loads(said("db", "check", "--json", "--config", str(config), code=1))
+    assert told["problems"]
+    assert bytes(content) == path.read_bytes()
+
+
 def test_settings_are_shown_as_they_hold(config, monkeypatch):
     monkeypatch.setenv("ROADGRIP_HTTP__PORT", "9009")
     shown = json.loads(said("config", "show", "--json", "--config", str(config)))

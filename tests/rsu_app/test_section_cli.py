@@ -1,13 +1,15 @@
 import builtins
 import json
 import sys
+from math import sin
 
 import pytest
 from typer.testing import CliRunner
 
 from roadgrip.errors import SectionError
 from roadgrip.section_file import section_from_json
-from rsu_app.section_cli import packaged_names, read_section, section_app
+from roadgrip.sections import packaged_names, read_section
+from rsu_app.section_cli import section_app
 from rsu_app.section_plot import section_panels
 from rsu_app.section_report import curvature_sketch, curves_of, plan_sketch
 from tests.roadgrip.roads import circle_section
@@ -81,6 +83,18 @@ def test_a_failed_import_leaves_nothing_behind(survey_file, tmp_path):
     assert isinstance(result.exception, SectionError)
     assert "--speed-limit" in str(result.exception)
     assert [p.name for p in tmp_path.iterdir()] == ["Valley bend_2.csv"]
+
+
+def test_a_section_that_does_not_fit_the_air_is_refused_before_it_is_written(tmp_path):
+    source = tmp_path / "long.csv"
+    rows = [f"{240500 + 10 * n},{6845000 + 20.0 * sin(n / 2.0):.2f},{sin(n / 5.0):.2f}" for n in range(700)]
+    source.write_text("\n".join(["east_utm33,north_utm33,height", *rows]), encoding="utf-8")
+    result = _run("import", source, "--speed-limit", 60, "-o", tmp_path / "long.json")
+    assert isinstance(result.exception, SectionError)
+    assert "--from and --to" in str(result.exception)
+    assert [p.name for p in tmp_path.iterdir()] == ["long.csv"]
+    part = _run("import", source, "--speed-limit", 60, "--to", 900, "-o", tmp_path / "part.json")
+    assert part.exit_code == 0, part.output
 
 
 @pytest.mark.parametrize("place", ["nowhere", "nowhere.json", "."])

@@ -109,7 +109,7 @@ def test_the_exchange_over_a_real_socket_and_over_cellular(tmp_path):
         assert window_count(daemon) == 1
         assert daemon.client.get("/health/ready").status_code == 200
         lines = [line for line in daemon.lines() if line["event"] == "passage"]
-        assert [(line["outcome"], line["via"]) for line in lines] == [("counted", "udp"), ("counted", "http")]
+        assert [(line["outcome"], line["via"]) for line in lines] == [("counted", "udp"), ("repeated", "http")]
 
 
 def test_a_unit_that_is_asked_to_stop_ends_its_streams_and_itself(tmp_path):

@@ -188,6 +188,8 @@ async def report_detection(site: SiteOf, section_id: SectionId, detection: Detec
         raise ProblemError(
             "no_broadcast", HTTPStatus.SERVICE_UNAVAILABLE, "udp.broadcast_host is not set: there is nobody to send to"
         )
+    if not site.detection_allowed():
+        raise refusal(Reason.BUSY, "map and advisory were sent to all a moment ago; so many a second and no more")
     sent = site.broadcast(section_id)
     _log.info("detection", section=section_id, source=detection.source, frames_count=sent.frames_count)
     return BroadcastModel(frames_sent_count=sent.frames_count, bytes_sent_count=sent.bytes_count)

@@ -33,6 +33,7 @@ class Site:
         broadcast: Sends map and advisory of a section to everybody in reach; None where there is nothing to send
             with.
         observe: Brings the gauges up to date before they are read.
+        detection_allowed: Whether one more detection may be broadcast now; counts it if so.
         streams: Knows the open event streams.
         metrics: Counts.
         version: Of the software.
@@ -45,6 +46,7 @@ class Site:
     intake: PassageIntake
     gateway: FrameGateway
     broadcast: Callable[[str], Broadcast] | None
+    detection_allowed: Callable[[], bool]
     observe: Callable[[], Awaitable[None]]
     streams: StreamDesk
     metrics: Metrics

@@ -9,12 +9,15 @@ import sqlite3
 from contextlib import closing
 from datetime import UTC, datetime
 from pathlib import Path
+from urllib.parse import quote
 
 from roadgrip.errors import StoreError
 from rsu_app.adapters.store.connection import store_error
 
 KEPT_COUNT = 2
 """Damaged databases that are kept; older ones are deleted, or damage after damage would fill the disk."""
+PROBLEMS_COUNT = 10
+"""Findings of an examination that are told; the first already says enough."""
 _DAMAGED = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB)
 _COMPANIONS = ("-wal", "-shm")
 
@@ -36,6 +39,24 @@ def damage(database_path: Path) -> str | None:
             return str(error)
         raise store_error(error, doing=f"examining {database_path}") from error
     return None if verdict == "ok" else verdict
+
+
+def integrity_problems(database_path: Path) -> list[str]:
+    """Return what SQLite finds wrong inside the file, at most ten findings; nothing if it is sound.
+
+    Reads all of it, indexes and constraints included, so it takes seconds on a large database; changes nothing, and
+    a unit may write meanwhile.
+
+    Raises:
+        StoreError: It is no database or cannot be read.
+    """
+    try:
+        address = f"file:{quote(str(database_path.absolute()))}?mode=ro"
+        with closing(sqlite3.connect(address, uri=True)) as connection:
+            found = [str(row[0]) for row in connection.execute(f"PRAGMA integrity_check({PROBLEMS_COUNT})")]
+    except sqlite3.Error as error:
+        raise store_error(error, doing=f"examining {database_path}") from error
+    return [] if found == ["ok"] else found
 
 
 def move_aside(database_path: Path, *, now_unix_s: float) -> Path:

@@ -96,6 +96,11 @@ def passages_count(connection: Connection) -> int:
     return int(connection.execute(select(func.count()).select_from(PASSAGES)).scalar_one())
 
 
+def newest_received_unix_s(connection: Connection) -> float:
+    """Return when the newest passage was received, zero without any."""
+    return float(connection.execute(select(func.max(_P.received_unix_s))).scalar_one() or 0.0)
+
+
 def write_probe(connection: Connection, *, unix_s: float) -> None:
     """Overwrite the one row that exists for being overwritten."""
     row = {"probe_id": 1, "written_unix_s": unix_s}

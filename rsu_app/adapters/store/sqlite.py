@@ -18,8 +18,9 @@ from rsu_app.adapters.store import rows
 from rsu_app.adapters.store.connection import reading_engine, store_error, writing_engine
 from rsu_app.adapters.store.migration import check, upgrade
 from rsu_app.adapters.store.recovery import damage, move_aside
+from rsu_app.adapters.store.standby import StandbyStore
 from rsu_app.adapters.store.writer import Writer, WriterLimits
-from rsu_app.ports import Event, PassageEntry, StoreCounts, StoredEstimate
+from rsu_app.ports import Event, PassageEntry, PassageStore, StoreCounts, StoredEstimate
 
 PROBE_INTERVAL_S = 5.0
 """A commit within this time proves that writing works; readiness asked every second must not wear out the flash."""
@@ -39,6 +40,37 @@ def open_store(database_path: Path, *, limits: WriterLimits | None = None) -> Sq
     Raises:
         StoreError: The file can be neither used nor replaced, or it belongs to newer software.
     """
+    try:
+        return _open(database_path, limits=limits or WriterLimits())
+    except OSError as error:
+        raise store_error(error, doing=f"opening {database_path}") from error
+
+
+def open_or_standby(database_path: Path, *, limits: WriterLimits | None = None) -> PassageStore:
+    """Return the store, or one that says why it cannot be opened and keeps trying. Never raises for the disk's sake.
+
+    A unit without its memory still sends maps and advises the winter speed; one that does not start does neither.
+    """
+    open_now = partial(open_store, database_path, limits=limits)
+    try:
+        return open_now()
+    except StoreError as error:
+        return StandbyStore(open_now, problem=error)
+
+
+def newest_received_unix_s(database_path: Path) -> float:
+    """Return when the newest stored passage was received; zero if there is none or it cannot be read."""
+    engine = reading_engine(database_path)
+    try:
+        with engine.begin() as connection:
+            return rows.newest_received_unix_s(connection)
+    except (DBAPIError, sqlite3.Error):
+        return 0.0
+    finally:
+        engine.dispose()
+
+
+def _open(database_path: Path, *, limits: WriterLimits) -> SqlitePassageStore:
     notes: list[str] = []
     found = damage(database_path)
     if found is not None:
@@ -50,7 +82,7 @@ def open_store(database_path: Path, *, limits: WriterLimits | None = None) -> Sq
         if not after.up_to_date:
             raise StoreError(f"{database_path} is at revision {after.current}, this software needs {after.expected}")
         notes.append(f"the database was migrated from revision {before.current} to {after.current}")
-    return SqlitePassageStore(database_path, limits=limits or WriterLimits(), notes=tuple(notes))
+    return SqlitePassageStore(database_path, limits=limits, notes=tuple(notes))
 
 
 class SqlitePassageStore:

@@ -67,6 +67,7 @@ def test_beacon_and_notice_say_what_the_advisory_says():
         reason=advisory.reason,
         confidence=advisory.confidence,
         valid_for_s=advisory.valid_for_s,
+        issued_unix_s=int(site.clock.now_unix_s),
     )
 
 

@@ -17,7 +17,7 @@ from roadgrip.records import (
     QualityFlag,
     Reason,
 )
-from rsu_app.usecases import UnitLimits
+from rsu_app.usecases import AcceptedAgain, UnitLimits
 from tests.bundles import make_manifest
 from tests.rsu_app.fakes import FakeModel, make_passage
 from tests.rsu_app.usecases.site import MODEL, OTHER, SECTION, Site, flags_of, reason_of
@@ -68,7 +68,7 @@ def test_a_sender_that_hangs_up_does_not_lose_its_passage():
         site.store.gate.set()
         await asyncio.sleep(0.01)
         assert site.interval().passages_count == 1
-        assert await site.unit.ingest_passage(passage) == Accepted()
+        assert await site.unit.ingest_passage(passage) == AcceptedAgain()
         assert site.interval().passages_count == 1
         assert len(site.store.entries) == 1
 
@@ -87,7 +87,7 @@ def test_the_same_passage_again_changes_nothing_and_gets_the_same_answer(restart
         site.clock.advance(60.0)
         again = make_passage(SECTION, seed=3, age_s=60.0)
         assert again.passage_id == passage.passage_id
-        assert await site.unit.ingest_passage(again) == Accepted()
+        assert await site.unit.ingest_passage(again) == AcceptedAgain()
         assert site.interval().passages_count == 1
         assert len(site.store.entries) == 1
 
@@ -100,7 +100,7 @@ def test_the_store_recognises_what_memory_has_forgotten():
         first = make_passage(SECTION, seed=1)
         assert await site.unit.ingest_passage(first) == Accepted()
         await site.ingest_many(3, first_seed=10)
-        assert await site.unit.ingest_passage(first) == Accepted()
+        assert await site.unit.ingest_passage(first) == AcceptedAgain()
         copied = make_passage(SECTION, seed=1, passage_id=b"x" * 16)
         assert reason_of(await site.unit.ingest_passage(copied)) is Reason.REPLAYED
         assert site.interval().passages_count == 4
@@ -114,9 +114,9 @@ def test_a_repetition_is_answered_as_before_even_if_it_would_be_refused_now():
         passage = make_passage(SECTION, seed=3)
         await site.unit.ingest_passage(passage)
         too_old = make_passage(SECTION, seed=3, age_s=1e6)
-        assert await site.unit.ingest_passage(too_old) == Accepted()
+        assert await site.unit.ingest_passage(too_old) == AcceptedAgain()
         site.store.error = StoreError("the disk is gone")
-        assert await site.unit.ingest_passage(passage) == Accepted()
+        assert await site.unit.ingest_passage(passage) == AcceptedAgain()
 
     asyncio.run(story())
 
@@ -160,7 +160,7 @@ def test_duplicates_in_flight_count_once():
         tasks = [asyncio.create_task(site.unit.ingest_passage(passage)) for _ in range(5)]
         await asyncio.sleep(0.01)
         site.store.gate.set()
-        assert await asyncio.gather(*tasks) == [Accepted()] * 5
+        assert await asyncio.gather(*tasks) == [Accepted(), *[AcceptedAgain()] * 4]
         assert site.interval().passages_count == 1
         assert len(site.store.entries) == 1
 

@@ -9,7 +9,7 @@ import pytest
 from roadgrip.records import Accepted, FrictionInterval, Reason, Rejected
 from rsu_app.adapters.inference import load_bundle
 from rsu_app.adapters.store import open_store
-from rsu_app.usecases import RoadSideUnit
+from rsu_app.usecases import AcceptedAgain, RoadSideUnit
 from tests.bundles import make_bundle
 from tests.rsu_app.fakes import FakeClock, make_passage
 from tests.rsu_app.usecases.site import SECTION
@@ -30,8 +30,7 @@ def test_a_power_cut_between_two_passages_changes_nothing_for_either(tmp_path):
 
     async def before():
         unit = new_unit(FakeClock())
-        await unit.restore()
-        await unit.note_live_model()
+        await unit.catch_up()
         assert await asyncio.gather(*map(unit.ingest_passage, passages)) == [Accepted()] * 11
         interval = unit.current_interval(SECTION.section_id)
         await unit.close()
@@ -42,7 +41,7 @@ def test_a_power_cut_between_two_passages_changes_nothing_for_either(tmp_path):
         clock.now_unix_s += 60.0
         unit = new_unit(clock)
         assert await unit.restore() == 11
-        assert await unit.ingest_passage(passages[5]) == Accepted()
+        assert await unit.ingest_passage(passages[5]) == AcceptedAgain()
         refusal = await unit.ingest_passage(copied)
         assert isinstance(refusal, Rejected)
         assert refusal.reason is Reason.REPLAYED

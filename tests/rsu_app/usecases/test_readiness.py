@@ -23,9 +23,10 @@ def test_a_unit_in_order_is_ready_and_its_empty_window_is_only_information():
 
 
 def test_a_unit_without_a_model_is_never_ready():
-    ready, by_name, _ = checks(Site(without_model=True))
+    ready, by_name, readiness = checks(Site(without_model=True, model_absence="the bundle is for another table"))
     assert not ready
     assert not by_name["model"]
+    assert readiness.checks[0].detail == "the bundle is for another table"
 
 
 def test_a_model_that_answers_differently_today_makes_the_unit_unready():

@@ -4,6 +4,7 @@ import asyncio
 
 import pytest
 
+from roadgrip.errors import StoreError
 from roadgrip.records import Accepted
 from rsu_app.usecases import UnitLimits
 from tests.rsu_app.fakes import FakeClock, FakeStore, make_passage
@@ -62,10 +63,24 @@ def test_a_unit_that_boots_in_1970_restores_once_its_clock_is_set():
         await again.ingest_many(1, mu=0.4, first_seed=50)
         assert again.interval().passages_count == 1
         clock.now_unix_s = site.clock.now_unix_s + 30.0
-        await again.unit.prune()
+        assert await again.unit.catch_up() == 12
         assert again.interval().passages_count == 13
-        await again.unit.prune()
+        assert await again.unit.catch_up() == 0
         assert again.interval().passages_count == 13
+
+    asyncio.run(story())
+
+
+def test_a_unit_whose_disk_is_full_at_the_start_notes_its_model_later():
+    async def story():
+        site = Site()
+        site.store.error = StoreError("the disk is full")
+        await site.unit.catch_up()
+        assert site.store.ledger == []
+        site.store.error = None
+        for _ in range(2):
+            await site.unit.catch_up()
+        assert [event.kind for event in site.store.ledger] == ["model_live"]
 
     asyncio.run(story())
 

@@ -70,6 +70,16 @@ def test_metrics_count_passages_by_outcome_and_way():
     assert series % ("rejected", "unknown_section", "other") in text
 
 
+def test_a_passage_that_comes_again_is_counted_apart():
+    under_test = make_unit(section=SECTION)
+    path = f"/v1/sections/{SECTION.section_id}/passages"
+    for _ in range(3):
+        asked(under_test, path, method="POST", json=passage_json(make_passage(SECTION)))
+    labels = {"section": "bend", "reason": "", "via": "json"}
+    assert under_test.count("roadgrip_passages_total", outcome="counted", **labels) == 1
+    assert under_test.count("roadgrip_passages_total", outcome="repeated", **labels) == 2
+
+
 def test_requests_are_counted_by_route_so_that_nobody_can_make_series():
     under_test = make_unit(section=SECTION)
     for number in range(5):

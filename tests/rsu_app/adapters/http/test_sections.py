@@ -141,6 +141,14 @@ def test_a_detection_broadcasts_map_and_advisory():
     assert under_test.count("roadgrip_detections_total", section=SECTION.section_id) == 1
 
 
+def test_detections_that_come_too_fast_are_refused_and_may_be_repeated():
+    under_test = make_unit(section=SECTION, detections_count=2)
+    given = [asked(under_test, f"{HERE}/detections", method="POST", json={}) for _ in range(3)]
+    assert [answer.status_code for answer in given] == [200, 200, 503]
+    assert (given[2].json()["reason"], given[2].json()["may_retry"]) == ("busy", True)
+    assert len(under_test.broadcasts) == 2
+
+
 def test_a_detection_without_anybody_to_tell_says_so():
     answer = asked(make_unit(section=SECTION, broadcast=False), f"{HERE}/detections", method="POST", json={})
     assert (answer.status_code, answer.json()["reason"]) == (503, "no_broadcast")
