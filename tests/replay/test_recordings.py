@@ -14,12 +14,12 @@ from vehicle_client.estimation.filters import rate_of_change, smoothed
 from vehicle_client.estimation.observer import PAPER_PARAMETERS
 from vehicle_client.estimation.offsets import NO_OFFSETS
 from vehicle_client.estimation.trace import mirrored
-from vehicle_client.estimation.vehicle_geometry import VehicleGeometry
 from vehicle_client.estimation.wheel_speed import encoder_speed_mps
 from vehicle_client.mapmatch.dead_reckoning import driven_line
 from vehicle_client.pipeline import Summarised, kinematic_signals, summarise_passage
+from vehicle_client.shell.sources import IAC_AV21
 
-INDY_GEOMETRY = VehicleGeometry(wheelbase_m=2.97, track_m=1.6, front_axle_m=1.72)
+INDY_GEOMETRY = IAC_AV21.vehicle
 
 
 # The Ferrari: a real curve through the whole pipeline ----------------------------------------------------------------

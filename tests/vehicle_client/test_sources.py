@@ -10,6 +10,7 @@ from roadgrip.errors import TraceError
 from roadgrip.records import QualityFlag
 from tests.vehicle_client.synthetic import clock_s, drive_over, fixes_of, road, s_turn, surveyed
 from vehicle_client.estimation.trace import Trace
+from vehicle_client.estimation.vehicle_geometry import VehicleGeometry
 from vehicle_client.shell.sources import (
     CHANNELS,
     Channel,
@@ -166,8 +167,7 @@ def test_axes_are_turned_and_what_is_missing_is_said(tmp_path):
         channels={"yaw_rate_radps": Channel("gyro_down", gain=-1.0)},
         reference={"velocity_x_mps": Channel("v_ref")},
         reference_speed="velocity_x_mps",
-        track_m=1.5,
-        front_axle_m=1.3,
+        vehicle=VehicleGeometry(wheelbase_m=2.7, track_m=1.5, front_axle_m=1.3),
     )
     drive = read_recording(foreign(tmp_path), mapping)
     assert np.allclose(drive.trace.yaw_rate_radps, -0.1)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -101,6 +101,41 @@ def check_trace(trace: Trace) -> None:
     if n > 1 and np.abs(np.diff(trace.time_s) - SAMPLE_S).max() > SAMPLE_S / 10.0:
         message = "samples are not 10 ms apart; resample the recording first"
         raise TraceError(message)
+
+
+def part_of(trace: Trace, *, from_s: float, to_s: float) -> Trace:
+    """Return the samples and fixes of a trace between two times, counted from its first sample.
+
+    Args:
+        trace: The whole.
+        from_s: First time that is kept.
+        to_s: Last time that is kept.
+
+    Raises:
+        TraceError: Nothing lies between them.
+    """
+    since_s = trace.time_s - trace.time_s[0]
+    inside = (since_s > from_s - SAMPLE_S / 2.0) & (since_s < to_s + SAMPLE_S / 2.0)
+    if not inside.any():
+        message = f"the recording lasts {since_s[-1]:.1f} s; nothing lies between {from_s} and {to_s} s"
+        raise TraceError(message)
+    gnss = trace.gnss
+    if gnss is not None:
+        kept = (gnss.time_s >= trace.time_s[inside][0]) & (gnss.time_s <= trace.time_s[inside][-1])
+        gnss = GnssTrack(gnss.time_s[kept], gnss.lat_deg[kept], gnss.lon_deg[kept], gnss.accuracy_m[kept])
+    return replace(
+        trace,
+        time_s=trace.time_s[inside],
+        accel_x_mps2=trace.accel_x_mps2[inside],
+        accel_y_mps2=trace.accel_y_mps2[inside],
+        roll_rate_radps=trace.roll_rate_radps[inside],
+        yaw_rate_radps=trace.yaw_rate_radps[inside],
+        steer_rad=trace.steer_rad[inside],
+        wheel_speed_mps=trace.wheel_speed_mps[inside],
+        valid=trace.valid[inside],
+        stability_active=None if trace.stability_active is None else trace.stability_active[inside],
+        gnss=gnss,
+    )
 
 
 def mirrored(trace: Trace) -> Trace:

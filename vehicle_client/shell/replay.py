@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from rich.table import Table
 
-from roadgrip.errors import ConfigurationError, TraceError
+from roadgrip.errors import ConfigurationError
 from roadgrip.features import KINEMATIC_FEATURES
 from roadgrip.records import PASSAGE_ID_BYTES, Accepted, Rejected
 from roadgrip.units import mps_to_kph
-from vehicle_client.estimation.trace import GnssTrack
+from vehicle_client.estimation.vehicle_geometry import XC90, VehicleGeometry
+from vehicle_client.mapmatch.dead_reckoning import DrivenLine, driven_line
 from vehicle_client.pipeline import Summarised, summarise_passage
 from vehicle_client.shell.conversation import SpedUpClock, converse, send_all
 from vehicle_client.shell.exchange import Ending, Exchange, ExchangeRecord, Stage
@@ -23,6 +24,7 @@ from vehicle_client.shell.sources import (
     COMMA2K19_RAV4,
     FERRARI_250LM,
     IAC_AV21,
+    Recording,
     read_recording,
     read_trace_csv,
 )
@@ -88,49 +90,52 @@ def read_trace(path: Path, recording_format: RecordingFormat) -> Trace:
         ConfigurationError: The file cannot be read.
         TraceError: It is no such recording; the message says where.
     """
+    return _read(path, recording_format).trace
+
+
+def recorded_line(path: Path, recording_format: RecordingFormat) -> DrivenLine:
+    """Return the line a recorded vehicle drove, by its yaw rate and its speed.
+
+    The speed is a reference instrument's where the recording has one, else the mean of the wheels that do not steer.
+
+    Raises:
+        ConfigurationError: The file cannot be read.
+        TraceError: It is no such recording; the message says where.
+    """
+    recording = _read(path, recording_format)
+    trace, reference = recording.trace, recording.reference
+    speed_mps = reference.get("velocity_x_mps", trace.wheel_speed_mps[:, 2:].mean(axis=1))
+    return driven_line(speed_mps, trace.yaw_rate_radps, reference.get("velocity_y_mps"))
+
+
+def _read(path: Path, recording_format: RecordingFormat) -> Recording:
     mapping = MAPPINGS.get(recording_format)
     try:
-        return read_trace_csv(path) if mapping is None else read_recording(path, mapping).trace
+        if mapping is None:
+            return Recording(trace=read_trace_csv(path), reference={}, missing=())
+        return read_recording(path, mapping)
     except OSError as error:
         raise ConfigurationError(f"cannot read {path}: {error.strerror or error}") from error
 
 
-def part_of(trace: Trace, *, from_s: float, to_s: float) -> Trace:
-    """Return the part of a trace between two times, counted from its first sample.
-
-    Raises:
-        TraceError: Nothing lies between them.
-    """
-    since_s = trace.time_s - trace.time_s[0]
-    inside = (since_s >= from_s) & (since_s <= to_s)
-    if not inside.any():
-        raise TraceError(f"the recording lasts {since_s[-1]:.1f} s; nothing lies between {from_s} and {to_s} s")
-    gnss = trace.gnss
-    if gnss is not None:
-        kept = (gnss.time_s >= trace.time_s[inside][0]) & (gnss.time_s <= trace.time_s[inside][-1])
-        gnss = GnssTrack(gnss.time_s[kept], gnss.lat_deg[kept], gnss.lon_deg[kept], gnss.accuracy_m[kept])
-    return replace(
-        trace,
-        time_s=trace.time_s[inside],
-        accel_x_mps2=trace.accel_x_mps2[inside],
-        accel_y_mps2=trace.accel_y_mps2[inside],
-        roll_rate_radps=trace.roll_rate_radps[inside],
-        yaw_rate_radps=trace.yaw_rate_radps[inside],
-        steer_rad=trace.steer_rad[inside],
-        wheel_speed_mps=trace.wheel_speed_mps[inside],
-        valid=trace.valid[inside],
-        stability_active=None if trace.stability_active is None else trace.stability_active[inside],
-        gnss=gnss,
-    )
+def vehicle_of(recording_format: RecordingFormat) -> VehicleGeometry:
+    """Return the car that a format's recordings come from; for our own, the car of the paper."""
+    mapping = MAPPINGS.get(recording_format)
+    return XC90 if mapping is None else mapping.vehicle
 
 
-def summarise_recording(trace: Trace, section: RoadSection) -> Replay:
+def summarise_recording(trace: Trace, section: RoadSection, *, vehicle: VehicleGeometry = XC90) -> Replay:
     """Return what the onboard pipeline makes of a recording, before anything is sent.
+
+    Args:
+        trace: The recording.
+        section: The map to find in it.
+        vehicle: The car that was driven.
 
     Raises:
         TraceError: The recording's arrays do not fit each other.
     """
-    return Replay(summarise_passage(trace, section), ended_s=float(trace.time_s[-1]))
+    return Replay(summarise_passage(trace, section, vehicle=vehicle), ended_s=float(trace.time_s[-1]))
 
 
 async def send_recorded(replay: Replay, section: RoadSection, address: UnitAddress, keys: Keys) -> Replay:
@@ -215,16 +220,8 @@ def replay_table(replay: Replay) -> Table:
     )
     table.add_row("inside the section", f"from {match.entry_s:.2f} to {match.exit_s:.2f} s of the recording")
     table.add_row("quality", ", ".join(_quality_names(made)) or "nothing to remark")
-    shown = (
-        "speed_mean_mps",
-        "speed_min_mps",
-        "speed_max_mps",
-        "steer_std_rad",
-        "sideslip_max_rad",
-        "sideslip_min_rad",
-    )
     values = dict(zip((f.name for f in KINEMATIC_FEATURES), made.summary.values, strict=True))
-    for name in shown:
+    for name in SHOWN:
         table.add_row(name, _readable(name, values[name]))
     table.add_row("summary", f"{len(values)} numbers, feature table {made.summary.table_digest} (all with --json)")
     if record is None:

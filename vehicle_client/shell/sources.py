@@ -31,6 +31,7 @@ from roadgrip.errors import TraceError
 from roadgrip.records import QualityFlag
 from roadgrip.units import SAMPLE_S
 from vehicle_client.estimation.trace import WHEELS, GnssTrack, Trace, check_trace
+from vehicle_client.estimation.vehicle_geometry import XC90, VehicleGeometry
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -73,16 +74,14 @@ class ColumnMapping:
             says so; wheel speeds may be missing only if there is a reference speed.
         reference: Quantities of a reference instrument, under the names they get in `Recording.reference`.
         reference_speed: Name among them of the forward speed that stands in for the wheels; empty if they are there.
-        track_m: Left to right wheel, to make four wheels out of one speed.
-        front_axle_m: Centre of gravity to front axle, for the same.
+        vehicle: The car that was driven.
     """
 
     time_column: str
     channels: Mapping[str, Channel]
     reference: Mapping[str, Channel] = field(default_factory=dict)
     reference_speed: str = ""
-    track_m: float = 0.0
-    front_axle_m: float = 0.0
+    vehicle: VehicleGeometry = XC90
 
 
 @dataclass(frozen=True, slots=True)
@@ -268,8 +267,8 @@ def _wheels_of_speed(
     speed_mps: FloatArray, yaw_rate_radps: FloatArray, steer_rad: FloatArray, mapping: ColumnMapping
 ) -> dict[str, FloatArray]:
     """Return what four wheels that roll without slip would show at a forward speed, lateral velocity left out."""
-    half = mapping.track_m / 2.0
-    across = yaw_rate_radps * mapping.front_axle_m * np.sin(steer_rad)
+    half = mapping.vehicle.track_m / 2.0
+    across = yaw_rate_radps * mapping.vehicle.front_axle_m * np.sin(steer_rad)
     wheels = {}
     for name in WHEEL_COLUMNS:
         along = speed_mps - yaw_rate_radps * (half if "left" in name else -half)
@@ -357,10 +356,10 @@ FERRARI_250LM = ColumnMapping(
         "sideslip_rad": Channel("beta_ref"),
     },
     reference_speed="velocity_x_mps",
-    track_m=1.35,
-    front_axle_m=1.34,
+    vehicle=VehicleGeometry(wheelbase_m=2.40, track_m=1.35, front_axle_m=1.34),
 )
-"""A 1965 racing car of the Stanford Revs Program; no wheel speeds and no roll rate."""
+"""A 1965 racing car of the Stanford Revs Program; no wheel speeds and no roll rate. Its wheelbase is the maker's; the
+centre of gravity of the mid-engined car is an estimate."""
 
 IAC_AV21 = ColumnMapping(
     time_column="t_s",
@@ -371,6 +370,7 @@ IAC_AV21 = ColumnMapping(
         **_WHEELS_FL_FR_RL_RR,
     },
     reference={"velocity_x_mps": Channel("vx_ref"), "velocity_y_mps": Channel("vy_ref")},
+    vehicle=VehicleGeometry(wheelbase_m=2.97, track_m=1.6, front_axle_m=1.72),
 )
 """The racing car of the Indy Autonomous Challenge; 25 rows a second, no lateral accelerometer and no roll rate."""
 
@@ -391,5 +391,6 @@ COMMA2K19_RAV4 = ColumnMapping(
         "velocity_y_mps": Channel("v_right_ref", gain=-1.0),
         "imu_up_mps2": Channel("imu_down", gain=-1.0),
     },
+    vehicle=VehicleGeometry(wheelbase_m=2.66, track_m=1.57, front_axle_m=1.20),
 )
 """A production car on a motorway; axes forward, right, down turned to forward, left, up."""
