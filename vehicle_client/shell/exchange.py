@@ -272,8 +272,11 @@ class Exchange:
         if self._stage is Stage.REPORTING:
             message = "the summary has already been sent"
             raise ValueError(message)
+        if self._section is None:
+            self._end(Ending.NO_MAP)
+            return
         self._withheld = reason
-        self._end(Ending.NO_MAP if self._section is None else Ending.WITHHELD)
+        self._end(Ending.WITHHELD)
 
     def tick(self, *, now_s: float) -> tuple[bytes, ...]:
         """Let time pass: try again or give up, whatever is due."""

@@ -120,7 +120,7 @@ def test_without_any_answer_the_vehicle_gives_up_within_its_tries_and_may_spool(
 
 def test_a_vehicle_that_never_got_the_map_sends_no_summary():
     record, air = a_passage([LOST] * 4)
-    assert record.ending is Ending.NO_MAP
+    assert (record.ending, record.withheld) == (Ending.NO_MAP, None)
     assert not record.may_spool
     assert air.unit.heard == []
 
