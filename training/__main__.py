@@ -49,7 +49,8 @@ DEFAULT_FIT = FitParameters()
 
 app = typer.Typer(
     name="roadgrip-train",
-    help=__doc__,
+    # A backspace alone on a line keeps what follows from being filled like prose.
+    help=(__doc__ or "").replace("::\n", ":\n").replace("\n\n    ", "\n\n\b\n    "),
     no_args_is_help=True,
     add_completion=False,
     rich_markup_mode=None,

@@ -1,7 +1,8 @@
 """Drives a design: shards of simulated passages, through the vehicle's own pipeline, into Parquet.
 
 Each shard becomes one file, whole or not at all; what is there already is not driven again, so a killed run goes on
-where it was. The result does not depend on the number of workers.
+where it was. A shard says which code drove it: after an edit of simulator, onboard client or design it is driven anew.
+The result does not depend on the number of workers.
 """
 
 from __future__ import annotations
@@ -18,10 +19,19 @@ import numpy as np
 from roadgrip.features import FEATURES, KINEMATIC_FEATURES, road_features
 from roadgrip.records import Rejected
 from roadgrip.units import FloatArray
-from training.dataset import COMPLETED, LABEL_COLUMNS, Runs, joined, read_runs, write_runs
+from training.code_identity import code_digest
+from training.dataset import COMPLETED, LABEL_COLUMNS, Runs, joined, read_description, read_runs, write_runs
 from training.scenarios import Design, Shard, runs_of, shards_of
 from vehicle_client.pipeline import summarise_passage
 from vehicle_client.simulator.run import Drive, simulate_passage
+
+DRIVING_MODULES = (
+    "training.simulation",
+    "training.scenarios",
+    "vehicle_client.pipeline",
+    "vehicle_client.simulator.run",
+)
+"""Modules from which all that shapes a run is reached by imports."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +79,7 @@ def drive_design(
     workers_count: int | None = None,
     on_progress: Callable[[Progress], None] | None = None,
 ) -> Runs:
-    """Drive what is not driven yet of a design, and return all its runs.
+    """Drive what is not driven yet of a design, or was driven by other code, and return all its runs.
 
     Args:
         design: What to drive.
@@ -79,7 +89,7 @@ def drive_design(
     """
     folder.mkdir(parents=True, exist_ok=True)
     shards = shards_of(design)
-    missing = [shard for shard in shards if not _path_of(shard, folder).exists()]
+    missing = [shard for shard in shards if not _is_driven(_path_of(shard, folder))]
     done_count = design.runs_count - sum(shard.runs_count for shard in missing)
 
     def report() -> None:
@@ -112,8 +122,14 @@ def _drive_and_write(shard: Shard, folder: Path) -> None:
             "driver_kind": design.driver_kind.value,
             "section_id": shard.section.section_id,
             "map_version": shard.section.version,
+            "code_digest": code_digest(*DRIVING_MODULES),
         },
     )
+
+
+def _is_driven(path: Path) -> bool:
+    """Return whether a shard is on disk, as the present code would drive it."""
+    return path.exists() and read_description(path).get("code_digest") == code_digest(*DRIVING_MODULES)
 
 
 def _path_of(shard: Shard, folder: Path) -> Path:
