@@ -25,7 +25,7 @@ WORKERS ?= 2
 PLACES := roadgrip rsu_app vehicle_client training migrations tests bench deploy
 CODE := $(foreach place,$(PLACES),$(if $(shell find $(place) -name '*.py' -print -quit 2>/dev/null),$(place)))
 
-.PHONY: help setup demo test test-long test-fast coverage check format-check format lint types contracts bench lock \
+.PHONY: help setup demo real-input test test-long test-fast coverage check format-check format lint types contracts bench lock \
         bundle wheel hooks clean
 
 help: ## List the chores
@@ -53,6 +53,9 @@ $(STAMP): requirements/bootstrap.txt requirements/dev.txt pyproject.toml
 
 demo: $(STAMP) ## Watch the whole system do its job: vehicles, frames, estimates, interval, advisory (under 3 minutes)
 	@$(BIN)/python deploy/demo/run.py $(ARGS)
+
+real-input: $(STAMP) ## Real roads and a recorded race car through the whole system (needs ../shared/data, or ARGS="--data DIR")
+	@$(BIN)/python -m deploy.demo.real_input $(ARGS)
 
 test: $(STAMP) ## Run the tests (two workers, within 8 minutes on two cores)
 	@$(BIN)/python -m pytest -n $(WORKERS) --dist loadgroup $(ARGS)

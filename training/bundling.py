@@ -18,6 +18,9 @@ MODEL_NAME = "model.onnx"
 GOLDEN_ROWS_COUNT = 32
 ENVELOPE_TAIL_FRAC = 0.001
 ENVELOPE_MARGIN_FRAC = 0.05
+ROUNDING_RATIO = 1e-6
+"""A feature that never changed in training, such as the length of the only road, still differs by its rounding to 32
+bits; without this every passage on that road would be strange."""
 FALSE_FLAG_FRAC = 0.005
 """Share of ordinary passages that the envelope may wrongly call strange."""
 
@@ -33,7 +36,7 @@ def learn_envelope(features: FloatArray) -> Envelope:
         features: Training rows. (n, 78)
     """
     low, high = np.quantile(features, [ENVELOPE_TAIL_FRAC, 1.0 - ENVELOPE_TAIL_FRAC], axis=0)
-    margin = ENVELOPE_MARGIN_FRAC * (high - low) + 1e-9 * np.maximum(1.0, np.abs(high))
+    margin = ENVELOPE_MARGIN_FRAC * (high - low) + ROUNDING_RATIO * np.maximum(np.abs(low), np.abs(high))
     lower, upper = low - margin, high + margin
     outside = ((features < lower) | (features > upper)).sum(axis=1)
     allowed = int(np.quantile(outside, 1.0 - FALSE_FLAG_FRAC, method="higher"))

@@ -57,8 +57,8 @@ def write_config(
         bundle: The model; None takes the packaged one.
         usual_ports: Whether to take the unit's usual ports when they are free; else the machine chooses.
     """
-    http_port = _free_port(socket.SOCK_STREAM, PREFERRED_HTTP_PORT if usual_ports else 0)
-    udp_port = _free_port(socket.SOCK_DGRAM, PREFERRED_UDP_PORT if usual_ports else 0)
+    http_port = free_port(socket.SOCK_STREAM, PREFERRED_HTTP_PORT if usual_ports else 0)
+    udp_port = free_port(socket.SOCK_DGRAM, PREFERRED_UDP_PORT if usual_ports else 0)
     files = UnitFiles(folder / "rsu.toml", folder / "rsu.sqlite3", folder / "rsu.log")
     model = "" if bundle is None else f'\n[model]\nbundle_path = "{bundle.resolve()}"\n'
     files.config.write_text(
@@ -200,7 +200,12 @@ def _ask(arguments: list[str], failure: str) -> None:
         raise DemoError(f"{failure}: {said}")
 
 
-def _free_port(kind: socket.SocketKind, preferred: int) -> int:
+def free_port(kind: socket.SocketKind, preferred: int = 0) -> int:
+    """Return the preferred port if it is free on this machine, else one that is.
+
+    Raises:
+        DemoError: There is none.
+    """
     for port in (preferred, 0):
         with socket.socket(socket.AF_INET, kind) as probe, contextlib.suppress(OSError):
             probe.bind(("127.0.0.1", port))

@@ -68,3 +68,11 @@ def test_the_envelope_calls_rows_from_elsewhere_strange() -> None:
     envelope = learn_envelope(rng.normal(size=(5000, 78)))
     elsewhere = outside_count(rng.normal(size=(500, 78)) * 3.0, envelope.lower, envelope.upper)
     assert np.mean(elsewhere > envelope.outside_allowed_count) > 0.99
+
+
+def test_a_feature_that_never_changed_does_not_make_its_own_value_strange() -> None:
+    rows = np.random.default_rng(4).normal(size=(2000, 78))
+    rows[:, 77] = np.float32(613.0371)
+    envelope = learn_envelope(rows)
+    rows[:, 77] = 613.0371
+    assert outside_count(rows[:, 77:], envelope.lower[77:], envelope.upper[77:]).sum() == 0
