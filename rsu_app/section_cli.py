@@ -239,7 +239,7 @@ def _print_section(section: RoadSection) -> None:
             f"{c.length_m:.0f} m",
             f"{c.tightest_radius_m:.0f} m",
             f"{c.mean_radius_m:.0f} m",
-            f"{abs(c.turn_deg):.0f}° {c.direction}",
+            f"{abs(np.rad2deg(c.turn_rad)):.0f}° {c.direction}",
             f"{c.bank_ratio:.1%}",
             f"{c.ideal_bank_ratio:.1%}",
         )

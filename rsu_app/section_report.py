@@ -37,7 +37,7 @@ class Curve:
         length_m: How long it is.
         tightest_radius_m: Its sharpest point.
         mean_radius_m: Length over turned angle.
-        turn_deg: Turned angle, left positive.
+        turn_rad: Turned angle, left positive.
         bank_ratio: Largest bank in it.
         ideal_bank_ratio: Largest bank that road design asks for, uncapped.
     """
@@ -46,14 +46,14 @@ class Curve:
     length_m: float
     tightest_radius_m: float
     mean_radius_m: float
-    turn_deg: float
+    turn_rad: float
     bank_ratio: float
     ideal_bank_ratio: float
 
     @property
     def direction(self) -> str:
         """Which way it turns."""
-        return "left" if self.turn_deg > 0.0 else "right"
+        return "left" if self.turn_rad > 0.0 else "right"
 
 
 def curves_of(section: RoadSection) -> tuple[Curve, ...]:
@@ -81,7 +81,7 @@ def curves_of(section: RoadSection) -> tuple[Curve, ...]:
                 length_m=length,
                 tightest_radius_m=float(1.0 / np.abs(profile.curvature_1pm[first:end]).max()),
                 mean_radius_m=length / abs(turn),
-                turn_deg=float(np.rad2deg(turn)),
+                turn_rad=float(turn),
                 bank_ratio=float(profile.bank_ratio[first:end].max()),
                 ideal_bank_ratio=float(profile.ideal_bank_ratio[first:end].max()),
             )
@@ -107,7 +107,7 @@ def section_figures(section: RoadSection) -> dict[str, Any]:
                 "length_m": round(c.length_m, 1),
                 "tightest_radius_m": round(c.tightest_radius_m, 1),
                 "mean_radius_m": round(c.mean_radius_m, 1),
-                "turn_deg": round(c.turn_deg, 1),
+                "turn_rad": round(c.turn_rad, 3),
                 "direction": c.direction,
                 "bank_max_ratio": round(c.bank_ratio, 4),
                 "ideal_bank_max_ratio": round(c.ideal_bank_ratio, 4),

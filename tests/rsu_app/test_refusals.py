@@ -101,8 +101,11 @@ JSONS = {
     "an unknown key": (json_text(passage_json(P, speed_kph=50)), 422, "malformed"),
     "too few values": (json_text(passage_json(P, values=[0.0] * 54)), 422, "malformed"),
     "a value that is text": (json_text(passage_json(P, values=["a"] * 55)), 422, "malformed"),
+    "an age that is text": (json_text(passage_json(P, age_s="1.5")), 422, "malformed"),
+    "a duration that is a truth value": (json_text(passage_json(P, duration_s=True)), 422, "malformed"),
+    "a flag nobody knows": (json_text(passage_json(P, quality=4096)), 422, "malformed"),
     "an id that is too short": (json_text(passage_json(P, passage_id="00")), 422, "malformed"),
-    "nested too deeply": ("[" * 30_000 + "]" * 30_000, 400, "malformed"),
+    "nested too deeply": ("[" * 30_000 + "]" * 30_000, 422, "malformed"),
     "oversized": (json_text(passage_json(P, values=[0.123456789] * 9_000)), 413, "oversized"),
     "wrong map": (json_text(passage_json(P, map_version=OTHER_DIGEST)), 409, "stale_map"),
     "wrong digest": (json_text(passage_json(P, table_digest=OTHER_DIGEST)), 409, "wrong_feature_table"),
@@ -134,6 +137,14 @@ def test_bad_json_is_answered_with_its_reason(case):
     answer = posted(make_unit(section=SECTION), body)
     assert (answer.status_code, answer.json()["reason"]) == (status, reason)
     assert answer.headers["content-type"] == "application/problem+json"
+
+
+def test_bad_json_is_counted_as_a_refused_passage_however_bad_it_is():
+    under_test = make_unit(section=SECTION)
+    for body in ("{", "[" * 30_000 + "]" * 30_000, json_text(passage_json(P, age_s="1.5"))):
+        posted(under_test, body)
+    labels = {"section": SECTION.section_id, "outcome": "rejected", "reason": "malformed", "via": "json"}
+    assert under_test.count("roadgrip_passages_total", **labels) == 3
 
 
 def test_json_for_a_wrong_section_is_answered_with_its_reason():

@@ -162,7 +162,7 @@ def test_curves_are_told_apart_by_side_and_measured():
     assert left.start_m + left.length_m < right.start_m + 1.0
     (circle,) = curves_of(circle_section(100.0, turn_rad=2.0))
     assert circle.mean_radius_m == pytest.approx(100.0, rel=0.01)
-    assert circle.turn_deg == pytest.approx(114.6, abs=0.5)
+    assert circle.turn_rad == pytest.approx(2.0, abs=0.01)
 
 
 def test_a_straight_has_no_curves_and_can_still_be_shown():

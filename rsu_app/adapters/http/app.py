@@ -62,10 +62,14 @@ async def _on_problem(_request: Request, error: Exception) -> Response:
 
 
 async def _on_invalid(request: Request, error: Exception) -> Response:
-    """Return what is wrong with a request in words; as `not_finite` where a number is none."""
+    """Return what is wrong with a request in words."""
     assert isinstance(error, RequestValidationError)  # noqa: S101 - same
     problems = [f"{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors()]
-    problem = refusal(Reason.MALFORMED, "; ".join(problems[:5]))
+    return _malformed(request, "; ".join(problems[:5]))
+
+
+def _malformed(request: Request, detail: str) -> Response:
+    problem = refusal(Reason.MALFORMED, detail)
     site: Site = request.app.state.site
     if "section_id" in request.path_params and request.url.path.endswith("/passages"):
         label = site.metrics.section_label(request.path_params["section_id"])
@@ -73,9 +77,11 @@ async def _on_invalid(request: Request, error: Exception) -> Response:
     return problem_response(problem)
 
 
-async def _on_http(_request: Request, error: Exception) -> Response:
+async def _on_http(request: Request, error: Exception) -> Response:
     assert isinstance(error, HTTPException)  # noqa: S101 - same
     status = HTTPStatus(error.status_code)
+    if status is HTTPStatus.BAD_REQUEST:  # a body that is no text, or too deep to be read
+        return _malformed(request, str(error.detail))
     response = problem_response(ProblemError(_SLUGS.get(status, "refused"), status, str(error.detail)))
     response.headers.update(error.headers or {})
     return response
@@ -84,7 +90,6 @@ async def _on_http(_request: Request, error: Exception) -> Response:
 _SLUGS = {
     HTTPStatus.NOT_FOUND: "not_found",
     HTTPStatus.METHOD_NOT_ALLOWED: "method_not_allowed",
-    HTTPStatus.BAD_REQUEST: Reason.MALFORMED.value,
 }
 
 

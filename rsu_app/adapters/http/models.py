@@ -32,6 +32,9 @@ HexId = Annotated[
     ),
 ]
 
+Number = Annotated[float, Field(strict=True)]
+"""A number as a number: what a vehicle measured is never the text "1.5" or the truth value of something."""
+
 
 class _Model(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=True)
@@ -130,10 +133,12 @@ class PassageModel(_Model):
     passage_id: HexId
     map_version: str = Field(max_length=64, description="Version of the map the summary was cut with.")
     table_digest: str = Field(max_length=64, description="Feature table the values were made for.")
-    duration_s: float = Field(description="Time spent inside the section.")
-    age_s: float = Field(description="Time since the vehicle left the section, by its own monotonic clock.")
-    quality: int = Field(default=0, ge=0, le=0xFFFF, description="Flags the vehicle sets about its own summary.")
-    values: tuple[float, ...] = Field(
+    duration_s: Number = Field(description="Time spent inside the section.")
+    age_s: Number = Field(description="Time since the vehicle left the section, by its own monotonic clock.")
+    quality: int = Field(
+        default=0, strict=True, ge=0, le=int(sum(QualityFlag)), description="Flags the vehicle sets about its summary."
+    )
+    values: tuple[Number, ...] = Field(
         max_length=256, description="The kinematic features in the order of the feature table."
     )
 
