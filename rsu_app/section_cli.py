@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from math import degrees
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -239,7 +240,7 @@ def _print_section(section: RoadSection) -> None:
             f"{c.length_m:.0f} m",
             f"{c.tightest_radius_m:.0f} m",
             f"{c.mean_radius_m:.0f} m",
-            f"{abs(np.rad2deg(c.turn_rad)):.0f}° {c.direction}",
+            f"{abs(degrees(c.turn_rad)):.0f}° {c.direction}",
             f"{c.bank_ratio:.1%}",
             f"{c.ideal_bank_ratio:.1%}",
         )
@@ -251,7 +252,7 @@ def _g_at_limit(figures: dict[str, Any]) -> str:
 
 
 def _on_the_air(figures: dict[str, Any]) -> str:
-    frames = figures["map_message_frames"]
+    frames = figures["map_message_frames_count"]
     if frames is None:
         return "cannot be sent: cut the section"
     return f"{figures['map_message_bytes']} bytes, {frames} frame(s)"

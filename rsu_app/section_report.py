@@ -81,7 +81,7 @@ def curves_of(section: RoadSection) -> tuple[Curve, ...]:
                 length_m=length,
                 tightest_radius_m=float(1.0 / np.abs(profile.curvature_1pm[first:end]).max()),
                 mean_radius_m=length / abs(turn),
-                turn_rad=float(turn),
+                turn_rad=turn,
                 bank_ratio=float(profile.bank_ratio[first:end].max()),
                 ideal_bank_ratio=float(profile.ideal_bank_ratio[first:end].max()),
             )
@@ -190,6 +190,6 @@ def map_message_problem(section: RoadSection) -> str | None:
 def _wire_figures(section: RoadSection) -> dict[str, int | None]:
     """Return what the unsigned map costs on the air; nothing known if it cannot be sent."""
     if map_message_problem(section) is not None:
-        return {"map_message_bytes": None, "map_message_frames": None}
+        return {"map_message_bytes": None, "map_message_frames_count": None}
     size_bytes = len(encode_message(MapOffer(section, (TABLE_DIGEST,))))
-    return {"map_message_bytes": size_bytes, "map_message_frames": -(-size_bytes // FRAGMENT_BYTES)}
+    return {"map_message_bytes": size_bytes, "map_message_frames_count": -(-size_bytes // FRAGMENT_BYTES)}

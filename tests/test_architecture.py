@@ -49,7 +49,7 @@ ANY_UNIT = set(
 )
 # State is an array: in the simulator these are the arrays whose columns an index of names describes.
 STATE_ARRAYS = set("aids body lines log mind road state states wheels".split())
-DEGREES_ALLOWED = re.compile(r"(^|_)(lat|lon|latitude|longitude|meridian|angle|turn)_deg$")
+DEGREES_ALLOWED = re.compile(r"(^|_)(lat|lon|latitude|longitude|meridian|angle)_deg$")
 QUANTITY = re.compile(
     r"^(float|FloatArray|NDArray\[np\.float(64|32)\]|Sequence\[float\]|list\[float\]|tuple\[float, \.\.\.\])$"
 )
