@@ -12,7 +12,7 @@ from typing import Any, NoReturn
 import cbor2
 
 from roadgrip.errors import WireError
-from roadgrip.records import Reason
+from roadgrip.reasons import Reason
 
 TAG_SIGN1 = 18
 """COSE_Sign1 (RFC 9052)."""

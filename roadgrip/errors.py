@@ -21,7 +21,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from roadgrip.records import Reason
+    from roadgrip.reasons import Reason
 
 
 class RoadgripError(Exception):

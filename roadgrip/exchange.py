@@ -15,6 +15,7 @@ from enum import Enum
 from roadgrip.errors import WireError
 from roadgrip.frames import Complete, Frame, exchange_id_of, section_key_of
 from roadgrip.protocol import Kind
+from roadgrip.reasons import Reason
 from roadgrip.records import (
     RSU_FRAME_BUDGET,
     VEHICLE_FRAME_BUDGET,
@@ -24,7 +25,6 @@ from roadgrip.records import (
     MapOffer,
     Message,
     Passage,
-    Reason,
     Receipt,
 )
 from roadgrip.signing import Verifier

@@ -39,7 +39,8 @@ from roadgrip.protocol import (
     PROTOCOL_VERSION,
     Kind,
 )
-from roadgrip.records import PASSAGE_ID_BYTES, RSU_FRAME_BUDGET, VEHICLE_FRAME_BUDGET, Reason
+from roadgrip.reasons import Reason
+from roadgrip.records import PASSAGE_ID_BYTES, RSU_FRAME_BUDGET, VEHICLE_FRAME_BUDGET
 
 MAGIC = b"RG"
 EXCHANGE_ID_BYTES = 8

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from enum import IntEnum
 
-from roadgrip.records import AdvisoryReason, Confidence, Reason
+from roadgrip.reasons import Reason
+from roadgrip.records import AdvisoryReason, Confidence
 from roadgrip.section import BankOrigin, Direction
 
 PROTOCOL_NAME = "roadgrip"

@@ -10,51 +10,34 @@ from dataclasses import dataclass
 from enum import IntFlag, StrEnum
 from typing import TYPE_CHECKING, TypeAlias
 
+from roadgrip.reasons import Reason
+
 if TYPE_CHECKING:
     from roadgrip.section import RoadSection
 
-
-class Reason(StrEnum):
-    """Why something was refused. The sender sees the value, the metric counts it, the documentation lists it."""
-
-    # Bytes that are not a message.
-    MALFORMED = "malformed"
-    OVERSIZED = "oversized"
-    BAD_CHECKSUM = "bad_checksum"
-    UNSUPPORTED_VERSION = "unsupported_version"
-    UNSIGNED = "unsigned"
-    BAD_SIGNATURE = "bad_signature"
-    UNKNOWN_KEY = "unknown_key"
-    # A message that does not belong here.
-    UNKNOWN_SECTION = "unknown_section"
-    STALE_MAP = "stale_map"
-    WRONG_FEATURE_TABLE = "wrong_feature_table"
-    # A passage that cannot be.
-    NOT_FINITE = "not_finite"
-    OUT_OF_RANGE = "out_of_range"
-    IMPOSSIBLE_AGE = "impossible_age"
-    IMPOSSIBLE_DURATION = "impossible_duration"
-    PASSAGE_ID_REUSED = "passage_id_reused"
-    REPLAYED = "replayed"
-    # The receiver's own limits; the sender may try again later.
-    BUDGET_EXHAUSTED = "budget_exhausted"
-    BUSY = "busy"
-    NO_MODEL = "no_model"
-    STORE_UNAVAILABLE = "store_unavailable"
-    # The vehicle keeps its summary to itself.
-    TOO_SHORT = "too_short"
-    TOO_MANY_GAPS = "too_many_gaps"
-    TOO_SLOW = "too_slow"
-    WRONG_ROAD = "wrong_road"
-    PASSAGE_ABORTED = "passage_aborted"
-
-    @property
-    def may_retry(self) -> bool:
-        """Whether the same message may be accepted later without change."""
-        return self in _MAY_RETRY
-
-
-_MAY_RETRY = frozenset({Reason.BUSY, Reason.NO_MODEL, Reason.STORE_UNAVAILABLE})
+__all__ = [
+    "PASSAGE_ID_BYTES",
+    "RSU_FRAME_BUDGET",
+    "VEHICLE_FRAME_BUDGET",
+    "Accepted",
+    "Advisory",
+    "AdvisoryNotice",
+    "AdvisoryReason",
+    "Arrival",
+    "Beacon",
+    "Confidence",
+    "FrictionInterval",
+    "KinematicSummary",
+    "MapOffer",
+    "Message",
+    "NotCounted",
+    "Outcome",
+    "Passage",
+    "QualityFlag",
+    "Reason",
+    "Receipt",
+    "Rejected",
+]
 
 
 class QualityFlag(IntFlag):

@@ -19,7 +19,7 @@ from cryptography.hazmat.primitives.serialization import load_pem_private_key, l
 
 from roadgrip.cbor import TAG_SIGN1, strict_dumps, strict_loads
 from roadgrip.errors import ConfigurationError, WireError
-from roadgrip.records import Reason
+from roadgrip.reasons import Reason
 
 KEY_ID_BYTES = 8
 KEY_ID_LIMIT_BYTES = 32

@@ -30,6 +30,7 @@ from roadgrip.protocol import (
     Kind,
     external_aad_of,
 )
+from roadgrip.reasons import Reason
 from roadgrip.records import (
     PASSAGE_ID_BYTES,
     Accepted,
@@ -44,7 +45,6 @@ from roadgrip.records import (
     NotCounted,
     Passage,
     QualityFlag,
-    Reason,
     Receipt,
     Rejected,
 )

@@ -12,7 +12,8 @@ from typing import Any, TypeAlias, TypeVar
 import cbor2
 
 from roadgrip.errors import WireError
-from roadgrip.records import PASSAGE_ID_BYTES, Reason
+from roadgrip.reasons import Reason
+from roadgrip.records import PASSAGE_ID_BYTES
 
 Fields: TypeAlias = dict[int, Any]
 """The map that a message is, by key."""

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from roadgrip.cbor import TAG_INT16_LE, TAG_INT32_LE
 from roadgrip.errors import SectionError, WireError
 from roadgrip.protocol import BANK_ORIGIN_CODES, DIRECTION_CODES
-from roadgrip.records import MapOffer, Reason
+from roadgrip.reasons import Reason
+from roadgrip.records import MapOffer
 from roadgrip.section import LENGTH_LIMITS_M, NODES_LIMIT_COUNT, GnssAnchor, RoadSection, build_section
 from roadgrip.wire_fields import (
     DIGEST_BYTES,

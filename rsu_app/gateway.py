@@ -28,6 +28,7 @@ from roadgrip.frames import (
     split_into_frames,
     unread_passage_id,
 )
+from roadgrip.reasons import Reason
 from roadgrip.records import (
     RSU_FRAME_BUDGET,
     Arrival,
@@ -35,7 +36,6 @@ from roadgrip.records import (
     MapOffer,
     Message,
     Passage,
-    Reason,
     Receipt,
     Rejected,
 )

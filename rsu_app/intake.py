@@ -8,7 +8,8 @@ from collections.abc import Callable
 import structlog
 
 from roadgrip.bundle import BundleManifest
-from roadgrip.records import Accepted, NotCounted, Outcome, Passage, Reason, Rejected
+from roadgrip.reasons import Reason
+from roadgrip.records import Accepted, NotCounted, Outcome, Passage, Rejected
 from roadgrip.units import FloatArray
 from rsu_app.observability import Metrics
 from rsu_app.ports import FrictionModel

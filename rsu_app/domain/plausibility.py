@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from roadgrip.bundle import BundleManifest, Envelope
 from roadgrip.features import KINEMATIC_FEATURES, STATISTICS, TABLE_DIGEST
-from roadgrip.records import PASSAGE_ID_BYTES, KinematicSummary, NotCounted, Passage, Reason, Rejected
+from roadgrip.reasons import Reason
+from roadgrip.records import PASSAGE_ID_BYTES, KinematicSummary, NotCounted, Passage, Rejected
 from roadgrip.section import RoadSection
 from roadgrip.units import FloatArray
 

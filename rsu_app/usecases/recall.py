@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from roadgrip.records import Accepted, Outcome, Passage, Reason, Rejected
+from roadgrip.reasons import Reason
+from roadgrip.records import Accepted, Outcome, Passage, Rejected
 from rsu_app.domain.plausibility import summary_values
 from rsu_app.ports import StoredEstimate
 

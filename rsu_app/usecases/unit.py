@@ -12,6 +12,7 @@ import numpy as np
 from roadgrip.bundle import BundleManifest
 from roadgrip.errors import BundleError, ConfigurationError, StoreError, StoreFullError
 from roadgrip.features import ROAD_FEATURES, TABLE_DIGEST, road_features
+from roadgrip.reasons import Reason
 from roadgrip.records import (
     Accepted,
     Advisory,
@@ -22,7 +23,6 @@ from roadgrip.records import (
     NotCounted,
     Outcome,
     Passage,
-    Reason,
     Rejected,
 )
 from roadgrip.section import RoadSection

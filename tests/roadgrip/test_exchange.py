@@ -18,15 +18,8 @@ from roadgrip.frames import (
     split_into_frames,
     unread_passage_id,
 )
-from roadgrip.records import (
-    RSU_FRAME_BUDGET,
-    VEHICLE_FRAME_BUDGET,
-    Message,
-    Passage,
-    Reason,
-    Receipt,
-    Rejected,
-)
+from roadgrip.reasons import Reason
+from roadgrip.records import RSU_FRAME_BUDGET, VEHICLE_FRAME_BUDGET, Message, Passage, Receipt, Rejected
 from roadgrip.wire import Kind, encode_message, kind_of
 from tests.roadgrip.wire_samples import PASSAGE, PASSAGE_ID, SAMPLES, SECTION, VERIFIER
 

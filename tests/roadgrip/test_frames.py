@@ -20,7 +20,7 @@ from roadgrip.frames import (
     unread_passage_id,
 )
 from roadgrip.protocol import FRAGMENT_BYTES, FRAME_LIMIT_BYTES, FRAMES_LIMIT_COUNT, HEADER_BYTES
-from roadgrip.records import Reason
+from roadgrip.reasons import Reason
 from roadgrip.wire import Kind
 
 EXCHANGE_ID = bytes(range(8))

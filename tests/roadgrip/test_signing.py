@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from roadgrip.errors import ConfigurationError, WireError
 from roadgrip.protocol import external_aad_of
-from roadgrip.records import Reason
+from roadgrip.reasons import Reason
 from roadgrip.signing import (
     Signer,
     Verifier,

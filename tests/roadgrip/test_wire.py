@@ -21,6 +21,7 @@ from roadgrip.protocol import (
     FRAMES_LIMIT_COUNT,
     REASON_CODES,
 )
+from roadgrip.reasons import Reason
 from roadgrip.records import (
     Accepted,
     Advisory,
@@ -35,7 +36,6 @@ from roadgrip.records import (
     NotCounted,
     Passage,
     QualityFlag,
-    Reason,
     Receipt,
     Rejected,
 )

@@ -7,7 +7,8 @@ import pytest
 
 from bench.bench_wire import EXCHANGE, ROADS, SIGNER, exchange_messages, frames_of, paper_road, size_table
 from roadgrip.protocol import FRAGMENT_BYTES, FRAME_LIMIT_BYTES, FRAMES_LIMIT_COUNT, HEADER_BYTES, REASON_CODES
-from roadgrip.records import RSU_FRAME_BUDGET, VEHICLE_FRAME_BUDGET, Reason
+from roadgrip.reasons import Reason
+from roadgrip.records import RSU_FRAME_BUDGET, VEHICLE_FRAME_BUDGET
 from roadgrip.wire import Kind
 
 TEXT = (Path(__file__).resolve().parents[2] / "docs" / "wire.md").read_text(encoding="utf-8")

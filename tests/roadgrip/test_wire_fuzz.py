@@ -6,7 +6,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from roadgrip.errors import WireError
-from roadgrip.records import Reason
+from roadgrip.reasons import Reason
 from roadgrip.wire import Kind, decode_message, encode_message, kind_of
 from tests.roadgrip.wire_samples import SAMPLES, fields_of, reason_for
 

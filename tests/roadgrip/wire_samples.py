@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from roadgrip.errors import WireError
 from roadgrip.features import KINEMATIC_FEATURES, TABLE_DIGEST
+from roadgrip.reasons import Reason
 from roadgrip.records import (
     Accepted,
     Advisory,
@@ -26,7 +27,6 @@ from roadgrip.records import (
     NotCounted,
     Passage,
     QualityFlag,
-    Reason,
     Receipt,
     Rejected,
 )

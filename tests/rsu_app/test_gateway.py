@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from roadgrip.errors import WireError
 from roadgrip.frames import exchange_id_of, parse_frame, split_into_frames, unread_passage_id
+from roadgrip.reasons import Reason
 from roadgrip.records import (
     RSU_FRAME_BUDGET,
     VEHICLE_FRAME_BUDGET,
@@ -16,7 +17,6 @@ from roadgrip.records import (
     Beacon,
     MapOffer,
     NotCounted,
-    Reason,
     Receipt,
     Rejected,
 )

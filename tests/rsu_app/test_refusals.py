@@ -10,7 +10,8 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from roadgrip.frames import exchange_id_of, section_key_of, split_into_frames
 from roadgrip.protocol import FRAME_LIMIT_BYTES, Kind
-from roadgrip.records import Accepted, Passage, Reason, Receipt, Rejected
+from roadgrip.reasons import Reason
+from roadgrip.records import Accepted, Passage, Receipt, Rejected
 from roadgrip.signing import Signer, Verifier
 from roadgrip.wire import encode_message
 from tests.rsu_app.fakes import make_passage, make_section

@@ -9,7 +9,7 @@ from fastapi import FastAPI, Request, Response
 from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
 
-from roadgrip.records import Reason
+from roadgrip.reasons import Reason
 from rsu_app.adapters.http import frames, operations, sections
 from rsu_app.adapters.http.guards import BodyGuard, RequestCounter
 from rsu_app.adapters.http.problems import ProblemError, problem_response, refusal

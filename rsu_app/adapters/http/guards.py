@@ -11,7 +11,7 @@ from http import HTTPStatus
 
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from roadgrip.records import Reason
+from roadgrip.reasons import Reason
 from rsu_app.adapters.http.problems import ProblemError, problem_response, refusal
 
 BODY_TIMEOUT_S = 10.0

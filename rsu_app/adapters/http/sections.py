@@ -8,7 +8,8 @@ from typing import Annotated, TypeVar
 import structlog
 from fastapi import APIRouter, Depends, Header, Path, Query, Response
 
-from roadgrip.records import AdvisoryNotice, MapOffer, Reason, Rejected
+from roadgrip.reasons import Reason
+from roadgrip.records import AdvisoryNotice, MapOffer, Rejected
 from roadgrip.section import RoadSection
 from roadgrip.section_file import section_to_json
 from rsu_app.adapters.http.models import (

@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 
 from roadgrip.bundle import Envelope
 from roadgrip.features import FEATURES, KINEMATIC_FEATURES
-from roadgrip.records import NotCounted, Reason
+from roadgrip.reasons import Reason
+from roadgrip.records import NotCounted
 from rsu_app.domain.plausibility import age_flag, envelope_flag, estimate_flag, implausibility
 from tests.bundles import make_manifest
 from tests.rsu_app.fakes import make_passage, make_section

@@ -2,11 +2,8 @@ from __future__ import annotations
 
 import asyncio
 
-from roadgrip.records import (
-    Accepted,
-    AdvisoryReason,
-    Reason,
-)
+from roadgrip.reasons import Reason
+from roadgrip.records import Accepted, AdvisoryReason
 from rsu_app.usecases import Subscription, UnitLimits
 from tests.rsu_app.fakes import make_passage
 from tests.rsu_app.usecases.site import OTHER, SECTION, Site, reason_of

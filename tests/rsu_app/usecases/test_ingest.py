@@ -10,13 +10,8 @@ from hypothesis import strategies as st
 from roadgrip.bundle import Envelope
 from roadgrip.errors import StoreError, StoreFullError
 from roadgrip.features import FEATURES
-from roadgrip.records import (
-    Accepted,
-    FrictionInterval,
-    NotCounted,
-    QualityFlag,
-    Reason,
-)
+from roadgrip.reasons import Reason
+from roadgrip.records import Accepted, FrictionInterval, NotCounted, QualityFlag
 from rsu_app.usecases import AcceptedAgain, UnitLimits
 from tests.bundles import make_manifest
 from tests.rsu_app.fakes import FakeModel, make_passage

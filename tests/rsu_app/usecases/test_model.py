@@ -5,11 +5,8 @@ import asyncio
 import pytest
 
 from roadgrip.errors import BundleError, StoreFullError
-from roadgrip.records import (
-    Accepted,
-    AdvisoryReason,
-    Reason,
-)
+from roadgrip.reasons import Reason
+from roadgrip.records import Accepted, AdvisoryReason
 from tests.bundles import make_manifest
 from tests.rsu_app.fakes import FakeModel, make_passage
 from tests.rsu_app.usecases.site import SECTION, Site, reason_of

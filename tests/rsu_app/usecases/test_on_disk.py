@@ -6,7 +6,8 @@ import asyncio
 
 import pytest
 
-from roadgrip.records import Accepted, FrictionInterval, Reason, Rejected
+from roadgrip.reasons import Reason
+from roadgrip.records import Accepted, FrictionInterval, Rejected
 from rsu_app.adapters.inference import load_bundle
 from rsu_app.adapters.store import open_store
 from rsu_app.usecases import AcceptedAgain, RoadSideUnit

@@ -6,7 +6,7 @@ import httpx
 import pytest
 
 from roadgrip.errors import StoreError
-from roadgrip.records import Reason
+from roadgrip.reasons import Reason
 from rsu_app.adapters.http.problems import STATUS_OF_REASON
 from rsu_app.usecases import RoadSideUnit
 from tests.rsu_app.fakes import make_passage, make_section
