@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, JsonValue
 
 from roadgrip.features import KINEMATIC_FEATURES, TABLE_DIGEST
 from roadgrip.records import (
@@ -37,7 +37,27 @@ Number = Annotated[float, Field(strict=True)]
 
 
 class _Model(BaseModel):
+    # NaN reaches the plausibility check, which refuses it as `not_finite` and not as bad JSON.
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=True)
+
+
+_INTERVAL_EXAMPLE: dict[str, JsonValue] = {
+    "mu_low": 0.28,
+    "mu_new": 0.35,
+    "median_mu": 0.315,
+    "median_low_mu": 0.306,
+    "median_high_mu": 0.323,
+    "coverage_frac": 0.967,
+    "passages_count": 57,
+    "confidence": "recommended",
+    "newest_age_s": 41.5,
+    "valid_for_s": 300.0,
+}
+
+
+def _with_example(example: dict[str, JsonValue]) -> ConfigDict:
+    """Return the configuration of a model that shows what it looks like; a test reads each example back."""
+    return ConfigDict(frozen=True, extra="forbid", allow_inf_nan=True, json_schema_extra={"examples": [example]})
 
 
 class AnchorModel(_Model):
@@ -73,8 +93,10 @@ class SectionsModel(_Model):
 class IntervalModel(_Model):
     """The friction that tyres from worn to new find on a section, from the median of the last hour."""
 
-    mu_low: float = Field(description="Lower end, 0.8 mu_new.", examples=[0.28])
-    mu_new: float = Field(description="What a new tyre finds.", examples=[0.35])
+    model_config = _with_example(_INTERVAL_EXAMPLE)
+
+    mu_low: float = Field(description="Lower end, 0.8 mu_new.")
+    mu_new: float = Field(description="What a new tyre finds.")
     median_mu: float
     median_low_mu: float = Field(description="Lower end of the confidence interval of the median.")
     median_high_mu: float
@@ -88,6 +110,15 @@ class IntervalModel(_Model):
 class FrictionModel(_Model):
     """The friction of a section; `interval` is null while there is nothing to publish, and `confidence` says why."""
 
+    model_config = _with_example(
+        {
+            "section_id": "long-turn",
+            "map_version": "0123456789abcdef",
+            "confidence": "recommended",
+            "interval": _INTERVAL_EXAMPLE,
+        }
+    )
+
     section_id: str
     map_version: str
     confidence: Confidence
@@ -97,9 +128,22 @@ class FrictionModel(_Model):
 class AdvisoryModel(_Model):
     """What drivers are told."""
 
+    model_config = _with_example(
+        {
+            "section_id": "long-turn",
+            "map_version": "0123456789abcdef",
+            "speed_mps": 11.11,
+            "reason": "friction_interval",
+            "confidence": "recommended",
+            "valid_for_s": 300.0,
+            "issued_unix_s": 1_770_000_000,
+            "interval": _INTERVAL_EXAMPLE,
+        }
+    )
+
     section_id: str
     map_version: str
-    speed_mps: float = Field(description="A multiple of 5 km/h.", examples=[13.89])
+    speed_mps: float = Field(description="A multiple of 5 km/h.")
     reason: AdvisoryReason
     confidence: Confidence
     valid_for_s: float
@@ -110,24 +154,16 @@ class AdvisoryModel(_Model):
 class PassageModel(_Model):
     """One vehicle's pass over the section: the JSON form of the message SUMMARY."""
 
-    model_config = ConfigDict(
-        frozen=True,
-        extra="forbid",
-        # NaN reaches the plausibility check, which refuses it as `not_finite` and not as bad JSON.
-        allow_inf_nan=True,
-        json_schema_extra={
-            "examples": [
-                {
-                    "passage_id": "00112233445566778899aabbccddeeff",
-                    "map_version": "0123456789abcdef",
-                    "table_digest": TABLE_DIGEST,
-                    "duration_s": 27.4,
-                    "age_s": 1.2,
-                    "quality": 0,
-                    "values": [0.0] * len(KINEMATIC_FEATURES),
-                }
-            ]
-        },
+    model_config = _with_example(
+        {
+            "passage_id": "00112233445566778899aabbccddeeff",
+            "map_version": "0123456789abcdef",
+            "table_digest": TABLE_DIGEST,
+            "duration_s": 27.4,
+            "age_s": 1.2,
+            "quality": 0,
+            "values": [0.0] * len(KINEMATIC_FEATURES),
+        }
     )
 
     passage_id: HexId
@@ -161,16 +197,25 @@ class PassageModel(_Model):
 class ReceiptModel(_Model):
     """The passage is stored. It never holds the estimate, which would train liars."""
 
+    model_config = _with_example(
+        {
+            "passage_id": "00112233445566778899aabbccddeeff",
+            "outcome": "accepted",
+            "counted": False,
+            "not_counted": ["out_of_envelope"],
+        }
+    )
+
     passage_id: HexId
-    outcome: str = Field(default="accepted", examples=["accepted"])
+    outcome: str = "accepted"
     counted: bool = Field(description="Whether it enters the window.")
-    not_counted: tuple[str, ...] = Field(description="Why it does not.", examples=[["out_of_envelope"]])
+    not_counted: tuple[str, ...] = Field(description="Why it does not.")
 
 
 class DetectionModel(_Model):
     """A loop or a camera reports a vehicle at the entry of the section."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", json_schema_extra={"examples": [{"source": "loop-1"}]})
+    model_config = _with_example({"source": "loop-1"})
 
     source: str = Field(default="", max_length=48, description="Name of the detector, for the log.")
 
@@ -193,6 +238,16 @@ class ConditionModel(_Model):
 
 class ReadinessModel(_Model):
     """Whether the unit does its job, and if not why."""
+
+    model_config = _with_example(
+        {
+            "ready": False,
+            "conditions": [
+                {"name": "model", "ok": True, "required": True, "detail": "bundle 3f2a answers its golden vectors"},
+                {"name": "store", "ok": False, "required": True, "detail": "writing: the disk is full"},
+            ],
+        }
+    )
 
     ready: bool
     conditions: tuple[ConditionModel, ...]

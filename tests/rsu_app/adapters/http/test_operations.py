@@ -7,6 +7,7 @@ import pytest
 
 from roadgrip.errors import StoreError
 from roadgrip.reasons import Reason
+from rsu_app.adapters.http import models, problems
 from rsu_app.adapters.http.problems import STATUS_OF_REASON
 from rsu_app.usecases import RoadSideUnit
 from tests.rsu_app.fakes import make_passage, make_section
@@ -140,6 +141,26 @@ def test_the_description_of_the_interface_has_examples_and_no_kilometres_per_hou
         for method, operation in methods.items():
             assert operation["tags"], (method, path)
             assert operation["summary"], (method, path)
+
+
+@pytest.mark.parametrize(
+    "model",
+    [
+        models.AdvisoryModel,
+        models.DetectionModel,
+        models.FrictionModel,
+        models.IntervalModel,
+        models.PassageModel,
+        models.ReadinessModel,
+        models.ReceiptModel,
+        problems.Problem,
+    ],
+    ids=lambda model: model.__name__,
+)
+def test_an_example_in_the_description_is_what_it_is_an_example_of(model):
+    document = asked(make_unit(section=SECTION), "/openapi.json").json()
+    (example,) = document["components"]["schemas"][model.__name__]["examples"]
+    assert json.loads(model.model_validate(example).model_dump_json()) == example
 
 
 def test_every_refusal_of_a_passage_is_in_the_description():
