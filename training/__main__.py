@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import json
 import platform
+from dataclasses import replace
 from importlib.metadata import version
 from importlib.resources import files
 from pathlib import Path
@@ -34,7 +35,14 @@ from training.bundling import write_bundle
 from training.dataset import COMPLETED, Runs, read_runs, write_runs
 from training.export import check_parity, parity_rows, to_onnx
 from training.fit_files import read_fit, read_trees, write_fit
-from training.regressor import FitParameters, Fitted, fit
+from training.regressor import (
+    FEWEST_ROADS,
+    ROAD_FOLDS_COUNT,
+    FitParameters,
+    Fitted,
+    fit,
+    mape_ratio_on_unseen_roads,
+)
 from training.scenarios import Design, mixed_design, paper_roads_design
 from vehicle_client.simulator.plan import DriverKind, SensorGrade
 
@@ -273,7 +281,12 @@ def _drive(design: Design, folder: Path, *, workers: int | None) -> Runs:
 def _fit(runs: Runs, parameters: FitParameters) -> Fitted:
     with _progress() as bar:
         task = bar.add_task(f"growing trees on {int(runs.usable.sum())} runs", total=parameters.trees_count)
-        return fit(runs, parameters, on_round=lambda done: bar.update(task, completed=done))
+        fitted = fit(runs, parameters, on_round=lambda done: bar.update(task, completed=done))
+        if len(set(runs.section_id)) < FEWEST_ROADS:
+            return fitted
+        folds = bar.add_task("judging on roads that were not learned", total=ROAD_FOLDS_COUNT)
+        unseen = mape_ratio_on_unseen_roads(runs, parameters, on_fold=lambda done: bar.update(folds, completed=done))
+    return replace(fitted, metrics={**fitted.metrics, "mape_ratio_unseen_roads": unseen})
 
 
 def _bundle(
@@ -319,6 +332,8 @@ def _print_metrics(metrics: dict[str, float], *, as_json: bool) -> None:
     for road, value in roads.items():
         if not road.startswith("random-"):
             table.add_row(road, f"{100 * value:.2f}")
+    if "mape_ratio_unseen_roads" in metrics:
+        table.add_row("roads never seen (mean)", f"{100 * metrics['mape_ratio_unseen_roads']:.2f}")
     table.caption = f"relative RMS {100 * metrics['relative_rms_ratio']:.2f} %"
     Console().print(table)
 

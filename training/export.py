@@ -25,7 +25,10 @@ OPSET = 15
 def to_onnx(booster: xgboost.Booster) -> bytes:
     """Return the trees as an ONNX model with one input (n, 78) and one output (n, 1), both float32."""
     width = len(FEATURES)
-    model = convert_xgboost(booster, initial_types=[("features", FloatTensorType([None, width]))], target_opset=OPSET)
+    # Without a name of its own the graph gets a random one, and the same trees another digest each time.
+    model = convert_xgboost(
+        booster, name="roadgrip", initial_types=[("features", FloatTensorType([None, width]))], target_opset=OPSET
+    )
     content: bytes = model.SerializeToString()
     return content
 

@@ -17,6 +17,8 @@ RowIndices: TypeAlias = np.ndarray[tuple[int], np.dtype[np.intp]]
 
 HOLD_OUT_FRAC = 0.1
 """The paper's split: nine tenths to learn from, one tenth to be judged on."""
+ROAD_FOLDS_COUNT = 5
+FEWEST_ROADS = 10
 _FEWEST_RUNS = 50
 
 
@@ -91,9 +93,53 @@ def fit(runs: Runs, parameters: FitParameters, *, on_round: Callable[[int], None
         DatasetError: There are too few usable runs.
     """
     train_rows, test_rows = split_rows(runs, seed=parameters.seed)
-    label_mu = runs.labels["label_mu"]
-    matrix = xgboost.DMatrix(runs.features[train_rows].astype(np.float32), label=label_mu[train_rows])
-    booster = xgboost.train(
+    booster = _grown(runs, train_rows, parameters, on_round=on_round)
+    metrics = judge(
+        runs.labels["label_mu"][test_rows],
+        estimate_mu(booster, runs.features[test_rows]),
+        section_id=[runs.section_id[i] for i in test_rows],
+    )
+    return Fitted(booster=booster, train_rows=train_rows, test_rows=test_rows, metrics=metrics)
+
+
+def mape_ratio_on_unseen_roads(
+    runs: Runs, parameters: FitParameters, *, on_fold: Callable[[int], None] | None = None
+) -> float:
+    """Return the mean error on a road of which nothing was learned, every road weighing the same.
+
+    The roads are dealt into `ROAD_FOLDS_COUNT` hands; for each, trees are grown on the others and judged on it.
+
+    Args:
+        runs: Rows with features and labels.
+        parameters: How the trees are grown.
+        on_fold: Called after each hand with the number of those done, for a progress bar.
+
+    Raises:
+        DatasetError: There are fewer than `FEWEST_ROADS` roads to tell.
+    """
+    sections = np.array(runs.section_id)
+    names = sorted({runs.section_id[i] for i in np.flatnonzero(runs.usable)})
+    if len(names) < FEWEST_ROADS:
+        raise DatasetError(f"{len(names)} roads say nothing about the next one; at least {FEWEST_ROADS} are needed")
+    dealt = np.random.default_rng(parameters.seed).permutation(names)
+    order = np.argsort(np.array(runs.run_key), kind="stable")
+    errors = []
+    for fold in range(ROAD_FOLDS_COUNT):
+        unseen = dealt[fold::ROAD_FOLDS_COUNT]
+        rows = order[runs.usable[order] & ~np.isin(sections[order], unseen)]
+        booster = _grown(runs, rows, parameters)
+        for name in unseen:
+            road = runs.usable & (sections == name)
+            errors.append(mape_ratio(runs.labels["label_mu"][road], estimate_mu(booster, runs.features[road])))
+        if on_fold is not None:
+            on_fold(fold + 1)
+    return float(np.mean(errors))
+
+
+def _grown(
+    runs: Runs, rows: RowIndices, parameters: FitParameters, *, on_round: Callable[[int], None] | None = None
+) -> xgboost.Booster:
+    return xgboost.train(
         {
             "objective": "reg:squarederror",
             "max_depth": parameters.depth_count,
@@ -103,16 +149,10 @@ def fit(runs: Runs, parameters: FitParameters, *, on_round: Callable[[int], None
             "tree_method": "hist",
             "seed": parameters.seed,
         },
-        matrix,
+        xgboost.DMatrix(runs.features[rows].astype(np.float32), label=runs.labels["label_mu"][rows]),
         num_boost_round=parameters.trees_count,
         callbacks=[_RoundReporter(on_round)] if on_round else None,
     )
-    metrics = judge(
-        runs.labels["label_mu"][test_rows],
-        estimate_mu(booster, runs.features[test_rows]),
-        section_id=[runs.section_id[i] for i in test_rows],
-    )
-    return Fitted(booster=booster, train_rows=train_rows, test_rows=test_rows, metrics=metrics)
 
 
 def split_rows(runs: Runs, *, seed: int) -> tuple[RowIndices, RowIndices]:

@@ -1,13 +1,23 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from roadgrip.errors import BundleError
 from tests.training.runs import made_up_runs, shuffled
-from training.dataset import DatasetError
+from training.dataset import DatasetError, Runs
 from training.export import check_parity, onnx_estimate_mu, parity_rows, to_onnx
-from training.regressor import FitParameters, estimate_mu, fit, judge, mape_ratio, relative_rms_ratio
+from training.regressor import (
+    FitParameters,
+    estimate_mu,
+    fit,
+    judge,
+    mape_ratio,
+    mape_ratio_on_unseen_roads,
+    relative_rms_ratio,
+)
 
 QUICK = FitParameters(trees_count=60)
 
@@ -81,3 +91,33 @@ def test_the_export_gives_one_friction_per_row() -> None:
     runs = made_up_runs(500)
     model = to_onnx(fit(runs, QUICK).booster)
     assert onnx_estimate_mu(model, np.zeros((7, runs.features.shape[1]))).shape == (7,)
+
+
+def on_many_roads(runs: Runs, *, roads_count: int) -> Runs:
+    return replace(runs, section_id=tuple(f"road-{i % roads_count:02d}" for i in range(len(runs))))
+
+
+def test_a_law_that_holds_everywhere_is_found_on_unseen_roads_too() -> None:
+    runs = on_many_roads(made_up_runs(1500), roads_count=15)
+    fitted = fit(runs, QUICK)
+    assert mape_ratio_on_unseen_roads(runs, QUICK) < 1.3 * fitted.metrics["mape_ratio"]
+
+
+def test_a_law_that_every_road_has_for_itself_is_not() -> None:
+    runs = on_many_roads(made_up_runs(1500), roads_count=15)
+    road = np.array([int(name[-2:]) for name in runs.section_id])
+    features = np.column_stack([road.astype(float), np.random.default_rng(0).normal(size=(1500, 77))])
+    label_mu = 0.2 + 0.5 * np.random.default_rng(1).permutation(15)[road] / 15
+    own = replace(runs, features=features, labels={**runs.labels, "label_mu": label_mu})
+    assert fit(own, QUICK).metrics["mape_ratio"] < 0.15
+    assert mape_ratio_on_unseen_roads(own, QUICK) > 0.3
+
+
+def test_a_few_roads_say_nothing_about_the_next() -> None:
+    with pytest.raises(DatasetError, match="roads say nothing"):
+        mape_ratio_on_unseen_roads(made_up_runs(300), QUICK)
+
+
+def test_the_same_runs_give_the_same_model_byte_for_byte() -> None:
+    runs = made_up_runs(400)
+    assert to_onnx(fit(runs, QUICK).booster) == to_onnx(fit(shuffled(runs, seed=1), QUICK).booster)

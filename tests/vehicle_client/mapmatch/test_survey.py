@@ -13,7 +13,9 @@ CIRCLE = driven_line(np.full(2001, 20.0), np.full(2001, 0.2))
 
 
 def test_a_circle_that_was_driven_becomes_a_circle_on_the_map():
-    section = section_of_line(CIRCLE, start_m=100.0, end_m=300.0, section_id="round", name="Round", speed_limit_mps=20.0)
+    section = section_of_line(
+        CIRCLE, start_m=100.0, end_m=300.0, section_id="round", name="Round", speed_limit_mps=20.0
+    )
     assert section.length_m == pytest.approx(200.0, abs=0.2)
     assert section.profile.curvature_1pm == pytest.approx(0.01, rel=0.02)
 

@@ -1,0 +1,55 @@
+"""What the pages promise a reader: links that lead somewhere, and the default bundle's own figures."""
+
+import json
+import re
+import subprocess
+
+import pytest
+
+LINK = re.compile(r"\]\((?!https?:|mailto:)([^)#\s]*)(?:#([^)\s]+))?\)")
+
+
+def pages(project_root):
+    listed = subprocess.run(
+        ["git", "ls-files", "*.md"], cwd=project_root, capture_output=True, text=True, check=True
+    ).stdout.split()
+    assert "README.md" in listed
+    return [project_root / name for name in listed]
+
+
+def anchors_of(text):
+    """The anchors that headings get: lower case, words joined by hyphens, everything else dropped."""
+    headings = re.findall(r"^#+ (.+)$", text, flags=re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).strip().replace(" ", "-") for heading in headings}
+
+
+def test_every_link_of_every_page_leads_somewhere(project_root):
+    broken = []
+    for page in pages(project_root):
+        for target, anchor in LINK.findall(page.read_text(encoding="utf-8")):
+            place = (page.parent / target).resolve() if target else page
+            if not place.exists():
+                broken.append(f"{page.name}: {target}")
+            elif anchor and place.suffix == ".md" and anchor not in anchors_of(place.read_text(encoding="utf-8")):
+                broken.append(f"{page.name}: {target}#{anchor}")
+    assert broken == []
+
+
+def test_every_page_can_be_reached_from_the_readme(project_root):
+    reached, ahead = set(), [project_root / "README.md"]
+    while ahead:
+        page = ahead.pop()
+        if page in reached or page.suffix != ".md" or not page.exists():
+            continue
+        reached.add(page)
+        ahead += [(page.parent / t).resolve() for t, _ in LINK.findall(page.read_text(encoding="utf-8")) if t]
+    assert sorted(str(p.relative_to(project_root)) for p in set(pages(project_root)) - reached) == []
+
+
+@pytest.mark.parametrize("name", ["mape_ratio", "mape_ratio.long-turn", "mape_ratio.s-turn", "mape_ratio.sharp-turn"])
+def test_the_card_of_the_default_bundle_tells_its_own_figures(project_root, name):
+    manifest = json.loads((project_root / "rsu_app" / "default_bundle" / "manifest.json").read_text(encoding="utf-8"))
+    page = (project_root / "docs" / "laboratory.md").read_text(encoding="utf-8")
+    card = page[page.index("## The default bundle") :]
+    assert manifest["bundle_id"] in card
+    assert f"{100 * manifest['metrics'][name]:.1f} %" in card
