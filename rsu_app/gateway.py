@@ -54,6 +54,8 @@ ASSEMBLY_LIMIT_COUNT = 256
 ASSEMBLY_LIMIT_BYTES = 1_048_576
 ASSEMBLY_TIMEOUT_S = 30.0
 """Both messages of a vehicle fit one frame today, so these bound what should not be there at all."""
+REFUSAL_LINES_PER_S = 5.0
+"""Log lines about refused frames: enough to see what comes, while the metric counts every one. A log has a budget."""
 MAPS_KEPT_COUNT = 64
 
 
@@ -109,6 +111,7 @@ class FrameGateway:
         self._now_s = now_s
         self._random_bytes = random_bytes
         self._refusals = RateLimit(refusals_per_s)  # a flood of rubbish must not make the unit a source of another
+        self._refusal_lines = RateLimit(REFUSAL_LINES_PER_S)
         self._signer = signer
         self._verifier = verifier
         self._reassembler = Reassembler(
@@ -272,7 +275,8 @@ class FrameGateway:
     ) -> Taken:
         """Count what was refused, and return the receipt that says so where there is somebody to tell."""
         self._metrics.frames_dropped.labels(via, error.reason.value).inc()
-        _log.info("frame_refused", reason=error.reason.value, detail=error.detail[:200], via=via)
+        if self._refusal_lines.take(now_s=now_s):
+            _log.info("frame_refused", reason=error.reason.value, detail=error.detail[:200], via=via)
         if exchange_id is None:
             return NOTHING
         if not self._refusals.take(now_s=now_s):

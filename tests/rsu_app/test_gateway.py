@@ -4,6 +4,7 @@ from dataclasses import replace
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from structlog.testing import capture_logs
 
 from roadgrip.errors import WireError
 from roadgrip.frames import exchange_id_of, parse_frame, split_into_frames, unread_passage_id
@@ -180,6 +181,15 @@ def test_rejections_are_sent_so_many_a_second_and_all_counted():
     assert refusals(10, 100) == 2
     assert under_test.count("roadgrip_frames_dropped_total", via="udp", reason="unknown_section") == 20
     assert under_test.count("roadgrip_refusals_withheld_total") == 16
+
+
+def test_a_flood_of_rubbish_does_not_flood_the_log():
+    under_test = make_unit(section=SECTION)
+    with capture_logs() as lines:
+        for _ in range(500):
+            answers(under_test, b"rubbish")
+    assert 1 <= len([line for line in lines if line["event"] == "frame_refused"]) <= 5
+    assert under_test.count("roadgrip_frames_dropped_total", via="udp", reason="malformed") == 500
 
 
 def test_a_unit_that_is_told_to_send_no_rejections_sends_none():
