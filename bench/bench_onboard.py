@@ -9,15 +9,13 @@ some rounds, so that a busy machine shows little.
 
 from __future__ import annotations
 
-import argparse
-import json
 import platform
 import time
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 
+from bench.measurement import ROADS, cost_s, keep_figures, parser_of, table_of
 from roadgrip.section import RoadSection
 from roadgrip.sections import read_section
 from roadgrip.units import SAMPLE_S, FloatArray
@@ -28,8 +26,6 @@ from vehicle_client.estimation.vehicle_geometry import XC90
 from vehicle_client.pipeline import Summarised, kinematic_signals, summarise_passage
 from vehicle_client.simulator.run import SensorGrade, draw_plan, simulate_passage
 
-ROOT = Path(__file__).resolve().parents[1]
-ROADS = ("long-turn", "s-turn", "sharp-turn")
 PASSAGE_S = 40.0
 """What figures are scaled to, so that roads compare."""
 BASE_FRICTION_MU = 0.5
@@ -67,18 +63,9 @@ def recorded(trace: Trace) -> FloatArray:
     )
 
 
-def cost_ms(work: Callable[[], object], *, rounds_count: int = 9, budget_s: float = 0.15) -> float:
-    """Return the CPU time of one call: the best of some rounds, each of about `budget_s`."""
-    started_s = time.thread_time()
-    work()
-    calls_count = max(1, int(budget_s / max(1e-7, time.thread_time() - started_s)))
-    best_s = float("inf")
-    for _ in range(rounds_count):
-        started_s = time.thread_time()
-        for _ in range(calls_count):
-            work()
-        best_s = min(best_s, time.thread_time() - started_s)
-    return best_s / calls_count * 1e3
+def cost_ms(work: Callable[[], object]) -> float:
+    """Return the CPU time of one call."""
+    return 1e3 * cost_s(work, clock=time.thread_time, rounds_count=9, budget_s=0.15)
 
 
 def passage_costs(name: str, *, with_gnss: bool) -> dict[str, str | float]:
@@ -121,24 +108,13 @@ def passage_costs(name: str, *, with_gnss: bool) -> dict[str, str | float]:
     }
 
 
-def table_of(rows: list[dict[str, str | float]]) -> str:
-    """Return rows with the same keys as a table."""
-    columns = list(rows[0])
-    lines = [f"| {' | '.join(columns)} |", f"|{'---|' * len(columns)}"]
-    lines += [f"| {' | '.join(v if isinstance(v, str) else f'{v:.3g}' for v in row.values())} |" for row in rows]
-    return "\n".join(lines) + "\n"
-
-
 def main() -> None:
     """Print the table and keep the figures."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
-    parser.add_argument("--out", type=Path, default=ROOT / "bench" / "results" / "onboard.json")
-    arguments = parser.parse_args()
+    arguments = parser_of(__doc__, results_name="onboard.json").parse_args()
     rows = [passage_costs(name, with_gnss=with_gnss) for name in ROADS for with_gnss in (False, True)]
     print(f"the onboard client, per {PASSAGE_S:.0f} s of recording ({platform.machine()}, numpy {np.__version__})\n")
-    print(table_of(rows))
-    arguments.out.parent.mkdir(parents=True, exist_ok=True)
-    arguments.out.write_text(json.dumps({"per_passage_s": PASSAGE_S, "rows": rows}, indent=1) + "\n", encoding="utf-8")
+    print(table_of(rows, number_format=".3g"))
+    keep_figures(arguments.out, {"per_passage_s": PASSAGE_S, "rows": rows})
 
 
 if __name__ == "__main__":

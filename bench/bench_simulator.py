@@ -9,22 +9,18 @@ The compiled part alone is timed on the same drives; the rest draws noise and pa
 
 from __future__ import annotations
 
-import argparse
-import json
 import platform
 import time
-from pathlib import Path
 
 import numba
 import numpy as np
 
+from bench.measurement import ROADS, keep_figures, parser_of, table_of
 from roadgrip.sections import read_section
 from roadgrip.units import SAMPLE_S
 from vehicle_client.simulator import journey
 from vehicle_client.simulator.run import SensorGrade, draw_plan, simulate_passages, warm_up
 
-ROOT = Path(__file__).resolve().parents[1]
-ROADS = ("long-turn", "s-turn", "sharp-turn")
 BASE_FRICTIONS_MU = (0.25, 0.35, 0.5, 0.7)
 SEED = 11
 
@@ -75,30 +71,19 @@ def speed_of(name: str, grade: SensorGrade, *, runs_count: int) -> dict[str, str
     }
 
 
-def table_of(rows: list[dict[str, str | float]]) -> str:
-    """Return rows with the same keys as a table."""
-    columns = list(rows[0])
-    lines = [f"| {' | '.join(columns)} |", f"|{'---|' * len(columns)}"]
-    lines += [f"| {' | '.join(v if isinstance(v, str) else f'{v:.4g}' for v in row.values())} |" for row in rows]
-    return "\n".join(lines) + "\n"
-
-
 def main() -> None:
     """Print the table and keep the figures."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser = parser_of(__doc__, results_name="simulator.json")
     parser.add_argument("--runs", type=int, default=60, help="drives per road and sensor grade")
-    parser.add_argument("--out", type=Path, default=ROOT / "bench" / "results" / "simulator.json")
     arguments = parser.parse_args()
     warm_up()
     rows = [speed_of(name, grade, runs_count=arguments.runs) for name in ROADS for grade in SensorGrade]
     simulated_s = sum(float(row["simulated s"]) for row in rows)
     overall = simulated_s / sum(float(row["CPU s"]) for row in rows)
     print(f"the simulator on one core ({platform.machine()}, numba {numba.__version__})\n")
-    print(table_of(rows))
+    print(table_of(rows, number_format=".4g"))
     print(f"in all {overall:.0f} simulated seconds per CPU second")
-    arguments.out.parent.mkdir(parents=True, exist_ok=True)
-    figures = {"simulated_s_per_cpu_s": overall, "rows": rows}
-    arguments.out.write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
+    keep_figures(arguments.out, {"simulated_s_per_cpu_s": overall, "rows": rows})
 
 
 if __name__ == "__main__":

@@ -6,16 +6,14 @@ python bench/bench_wire.py --sizes     the table of docs/wire.md only
 
 from __future__ import annotations
 
-import argparse
-import json
 import time
 from collections.abc import Callable
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
+from bench.measurement import ROADS, cost_s, keep_figures, parser_of, table_of
 from roadgrip.features import KINEMATIC_FEATURES, TABLE_DIGEST
 from roadgrip.frames import exchange_id_of, parse_frame, section_key_of, split_into_frames
 from roadgrip.records import (
@@ -34,13 +32,11 @@ from roadgrip.records import (
     Receipt,
 )
 from roadgrip.section import RoadSection
-from roadgrip.section_file import section_from_json
+from roadgrip.sections import read_section
 from roadgrip.signing import Signer, Verifier, key_id_of
 from roadgrip.units import kph_to_mps
 from roadgrip.wire import decode_message, encode_message, kind_of
 
-ROOT = Path(__file__).resolve().parents[1]
-ROADS = ("long-turn", "s-turn", "sharp-turn")
 COLUMNS = ("ARRIVAL", "MAP", "ADVISORY", "SUMMARY", "RECEIPT", "BEACON")
 EXCHANGE = COLUMNS[:5]
 """What one passage sends; a beacon is nobody's."""
@@ -48,11 +44,6 @@ EXCHANGE = COLUMNS[:5]
 _KEY = Ed25519PrivateKey.from_private_bytes(bytes(range(32)))
 SIGNER = Signer(key_id_of(_KEY.public_key()), _KEY)
 VERIFIER = Verifier({SIGNER.key_id: _KEY.public_key()}, required=True)
-
-
-def paper_road(name: str) -> RoadSection:
-    """Return one of the sections that come with the project."""
-    return section_from_json((ROOT / "roadgrip" / "sections" / f"{name}.json").read_text(encoding="utf-8"))
 
 
 def exchange_messages(section: RoadSection) -> dict[str, Message]:
@@ -100,7 +91,7 @@ def size_table() -> str:
         f"|---|---|---|{'---|' * len(COLUMNS)}---|",
     ]
     for name in ROADS:
-        section = paper_road(name)
+        section = read_section(name)
         for signer in (None, SIGNER):
             frames = {
                 kind: frames_of(message, section, signer=signer) for kind, message in exchange_messages(section).items()
@@ -119,18 +110,9 @@ def _cell(frames: tuple[bytes, ...]) -> str:
     return str(size) if len(frames) == 1 else f"{size} × {len(frames)}"
 
 
-def cost_us(work: Callable[[], object], *, rounds_count: int = 7, budget_s: float = 0.05) -> float:
-    """Return what one call costs: the best of some rounds, each of about `budget_s`."""
-    started_s = time.perf_counter()
-    work()
-    calls_count = max(1, int(budget_s / max(1e-7, time.perf_counter() - started_s)))
-    best_s = float("inf")
-    for _ in range(rounds_count):
-        started_s = time.perf_counter()
-        for _ in range(calls_count):
-            work()
-        best_s = min(best_s, time.perf_counter() - started_s)
-    return best_s / calls_count * 1e6
+def cost_us(work: Callable[[], object]) -> float:
+    """Return how long one call takes."""
+    return 1e6 * cost_s(work, clock=time.perf_counter, rounds_count=7, budget_s=0.05)
 
 
 def message_costs_us(section: RoadSection) -> dict[str, dict[str, float]]:
@@ -151,27 +133,17 @@ def message_costs_us(section: RoadSection) -> dict[str, dict[str, float]]:
     return costs
 
 
-def cost_table(costs: dict[str, dict[str, float]]) -> str:
-    """Return the costs as a table."""
-    steps = list(next(iter(costs.values())))
-    lines = [f"| microseconds | {' | '.join(steps)} |", f"|---|{'---|' * len(steps)}"]
-    lines += [f"| {name} | {' | '.join(f'{row[step]:.1f}' for step in steps)} |" for name, row in costs.items()]
-    return "\n".join(lines) + "\n"
-
-
 def main() -> None:
     """Print the tables and keep the figures."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser = parser_of(__doc__, results_name="wire.json")
     parser.add_argument("--sizes", action="store_true", help="only the table of docs/wire.md")
-    parser.add_argument("--out", type=Path, default=ROOT / "bench" / "results" / "wire.json")
     arguments = parser.parse_args()
     print(size_table())
     if arguments.sizes:
         return
-    costs = message_costs_us(paper_road("long-turn"))
-    print(cost_table(costs))
-    arguments.out.parent.mkdir(parents=True, exist_ok=True)
-    arguments.out.write_text(json.dumps({"cost_us": costs}, indent=1) + "\n", encoding="utf-8")
+    costs = message_costs_us(read_section("long-turn"))
+    print(table_of([{"microseconds": name, **cost} for name, cost in costs.items()], number_format=".1f"))
+    keep_figures(arguments.out, {"cost_us": costs})
 
 
 if __name__ == "__main__":

@@ -5,10 +5,12 @@ from pathlib import Path
 
 import pytest
 
-from bench.bench_wire import EXCHANGE, ROADS, SIGNER, exchange_messages, frames_of, paper_road, size_table
+from bench.bench_wire import EXCHANGE, SIGNER, exchange_messages, frames_of, size_table
+from bench.measurement import ROADS
 from roadgrip.protocol import FRAGMENT_BYTES, FRAME_LIMIT_BYTES, FRAMES_LIMIT_COUNT, HEADER_BYTES, REASON_CODES
 from roadgrip.reasons import Reason
 from roadgrip.records import RSU_FRAME_BUDGET, VEHICLE_FRAME_BUDGET
+from roadgrip.sections import read_section
 from roadgrip.wire import Kind
 
 TEXT = (Path(__file__).resolve().parents[2] / "docs" / "wire.md").read_text(encoding="utf-8")
@@ -37,7 +39,7 @@ def test_the_table_of_sizes_is_true():
 @pytest.mark.parametrize("road", ROADS)
 @pytest.mark.parametrize("signer", [None, SIGNER])
 def test_a_whole_exchange_takes_no_more_than_six_frames(road, signer):
-    section = paper_road(road)
+    section = read_section(road)
     messages = exchange_messages(section)
     frames = [frame for kind in EXCHANGE for frame in frames_of(messages[kind], section, signer=signer)]
     assert len(frames) <= 6
