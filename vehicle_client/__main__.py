@@ -301,17 +301,13 @@ async def _section(text: str, address: UnitAddress, keys: Keys) -> RoadSection:
     """Return the road that an option names."""
     from roadgrip.sections import read_section
     from vehicle_client.shell.roads import FROM_UNIT_PREFIX, ask_for_section
-    from vehicle_client.shell.uplink import uplinks_to
+    from vehicle_client.shell.uplink import uplink_to
 
     if not text.startswith(FROM_UNIT_PREFIX):
         return read_section(text)
     section_id = text.removeprefix(FROM_UNIT_PREFIX)
-    async with uplinks_to(address) as open_uplink:
-        uplink = await open_uplink()
-        try:
-            return await ask_for_section(section_id, uplink=uplink, open_codec=keys.codecs_for(section_id))
-        finally:
-            await uplink.close()
+    async with uplink_to(address) as uplink:
+        return await ask_for_section(section_id, uplink=uplink, open_codec=keys.codecs_for(section_id))
 
 
 async def _run_fleet(plan: FleetPlan, address: UnitAddress, keys: Keys, spool: Path | None) -> FleetReport:

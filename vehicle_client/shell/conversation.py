@@ -55,6 +55,13 @@ async def send_all(frames: Iterable[bytes], uplink: Uplink) -> None:
         await uplink.send(frame)
 
 
+async def arrive(exchange: Exchange, uplink: Uplink, clock: Clock) -> None:
+    """Announce the vehicle, and return when it has what it asked for or asks no more."""
+    await send_all(exchange.begin(now_s=clock.now_s()), uplink)
+    while exchange.stage is Stage.ARRIVING:
+        await converse(exchange, uplink, clock, until_s=exchange.wake_at_s)
+
+
 async def converse(exchange: Exchange, uplink: Uplink, clock: Clock, *, until_s: float = inf) -> None:
     """Keep an exchange going until it has ended or the clock shows `until_s`.
 

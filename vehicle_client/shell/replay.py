@@ -17,7 +17,7 @@ from roadgrip.units import mps_to_kph
 from vehicle_client.estimation.vehicle_geometry import XC90, VehicleGeometry
 from vehicle_client.mapmatch.dead_reckoning import DrivenLine, driven_line
 from vehicle_client.pipeline import Summarised, summarise_passage
-from vehicle_client.shell.conversation import SpedUpClock, converse, send_all
+from vehicle_client.shell.conversation import SpedUpClock, arrive, converse, send_all
 from vehicle_client.shell.exchange import Ending, Exchange, ExchangeRecord, Stage
 from vehicle_client.shell.fleet_events import flag_names
 from vehicle_client.shell.sources import (
@@ -28,7 +28,7 @@ from vehicle_client.shell.sources import (
     read_recording,
     read_trace_csv,
 )
-from vehicle_client.shell.uplink import uplinks_to
+from vehicle_client.shell.uplink import uplink_to
 from vehicle_client.shell.views import advice_text
 
 if TYPE_CHECKING:
@@ -153,24 +153,18 @@ async def send_recorded(replay: Replay, section: RoadSection, address: UnitAddre
         codec=keys.codecs_for(section.section_id)(passage_id),
         known_section=section,
     )
-    async with uplinks_to(address) as open_uplink:
-        uplink = await open_uplink()
-        try:
-            await send_all(exchange.begin(now_s=clock.now_s()), uplink)
-            while exchange.stage is Stage.ARRIVING:
-                await converse(exchange, uplink, clock, until_s=exchange.wake_at_s)
-            if exchange.stage is not Stage.ENDED:
-                now_s = clock.now_s()
-                frames = exchange.report(
-                    replay.made.summary,
-                    map_version=section.version,
-                    left_at_s=now_s - (replay.ended_s - replay.made.left_at_s),
-                    now_s=now_s,
-                )
-                await send_all(frames, uplink)
-                await converse(exchange, uplink, clock)
-        finally:
-            await uplink.close()
+    async with uplink_to(address) as uplink:
+        await arrive(exchange, uplink, clock)
+        if exchange.stage is not Stage.ENDED:
+            now_s = clock.now_s()
+            frames = exchange.report(
+                replay.made.summary,
+                map_version=section.version,
+                left_at_s=now_s - (replay.ended_s - replay.made.left_at_s),
+                now_s=now_s,
+            )
+            await send_all(frames, uplink)
+            await converse(exchange, uplink, clock)
     return replace(replay, record=exchange.record())
 
 

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 from roadgrip.errors import ConfigurationError
 from roadgrip.records import PASSAGE_ID_BYTES
-from vehicle_client.shell.conversation import SpedUpClock, converse, send_all
-from vehicle_client.shell.exchange import Exchange, Patience, Stage
+from vehicle_client.shell.conversation import SpedUpClock, arrive
+from vehicle_client.shell.exchange import Exchange, Patience
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -35,12 +35,9 @@ async def ask_for_section(
     Raises:
         ConfigurationError: The unit did not send one; the message says what it answered, if anything.
     """
-    clock = SpedUpClock()
     passage_id = secrets.token_bytes(PASSAGE_ID_BYTES)
     exchange = Exchange(passage_id=passage_id, section_id=section_id, codec=open_codec(passage_id), patience=patience)
-    await send_all(exchange.begin(now_s=clock.now_s()), uplink)
-    while exchange.stage is Stage.ARRIVING:
-        await converse(exchange, uplink, clock, until_s=exchange.wake_at_s)
+    await arrive(exchange, uplink, SpedUpClock())
     if exchange.section is None:
         outcome = exchange.record().outcome
         answer = "it did not answer" if outcome is None else f"it answered {outcome}"

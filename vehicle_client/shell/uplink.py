@@ -323,3 +323,14 @@ async def uplinks_to(address: UnitAddress) -> AsyncIterator[Callable[[], Awaitab
             return HttpUplink(address, client)
 
         yield open_http
+
+
+@contextlib.asynccontextmanager
+async def uplink_to(address: UnitAddress) -> AsyncIterator[Uplink]:
+    """Yield the uplink of the only vehicle there is; it is closed in the end."""
+    async with uplinks_to(address) as open_uplink:
+        uplink = await open_uplink()
+        try:
+            yield uplink
+        finally:
+            await uplink.close()
