@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import replace
+from math import inf
 
 import pytest
 from hypothesis import given
@@ -37,6 +38,12 @@ def an_exchange(ether: Ether, *, known: RoadSection | None = None, spent: int = 
         known_section=known,
         frames_spent_count=spent,
     )
+
+
+def hear(exchange: Exchange, ether: Ether, message: Message, *, now_s: float) -> None:
+    """Let a message of one frame reach a vehicle."""
+    (frame,) = ether.put(message)
+    exchange.receive(frame, now_s=now_s)
 
 
 def a_passage(
@@ -90,10 +97,65 @@ def test_a_vehicle_with_an_old_map_gets_the_new_one():
 def test_an_advisory_for_another_map_makes_the_vehicle_ask_for_that_map():
     exchange = an_exchange(ether := Ether(), known=BEND)
     exchange.begin(now_s=0.0)
-    (frame,) = ether.put(AdvisoryNotice("bend", "another-version", ADVICE, issued_unix_s=0))
-    exchange.receive(frame, now_s=0.1)
+    hear(exchange, ether, AdvisoryNotice("bend", "another-version", ADVICE, issued_unix_s=0), now_s=0.1)
     (again,) = exchange.tick(now_s=1.0)
     assert ether.cargo[again][2] == Arrival(PASSAGE_ID, "bend", known_map_version="")
+
+
+@pytest.mark.parametrize("map_first", [True, False])
+def test_a_vehicle_drives_once_it_has_map_and_advisory_whichever_comes_first(map_first: bool):
+    exchange = an_exchange(ether := Ether())
+    exchange.begin(now_s=0.0)
+    answers: list[Message] = [
+        MapOffer(BEND, (TABLE_DIGEST,)),
+        AdvisoryNotice("bend", BEND.version, ADVICE, issued_unix_s=0),
+    ]
+    stages = []
+    for message in answers if map_first else reversed(answers):
+        hear(exchange, ether, message, now_s=0.1)
+        stages.append(exchange.stage)
+    assert stages == [Stage.ARRIVING, Stage.DRIVING]
+    assert exchange.wake_at_s == inf
+
+
+def test_advice_on_the_way_for_another_map_does_not_take_the_map_from_a_vehicle_that_drives_by_it():
+    exchange = an_exchange(ether := Ether(), known=BEND)
+    exchange.begin(now_s=0.0)
+    hear(exchange, ether, AdvisoryNotice("bend", BEND.version, ADVICE, issued_unix_s=0), now_s=0.1)
+    slower = replace(ADVICE, speed_mps=11.11)
+    hear(exchange, ether, AdvisoryNotice("bend", "another-version", slower, issued_unix_s=0), now_s=5.0)
+    assert exchange.section == BEND
+    assert exchange.advisory == slower
+
+
+def test_map_and_advice_that_come_after_the_summary_change_nothing():
+    exchange = an_exchange(ether := Ether(), known=BEND)
+    exchange.report(SUMMARY, map_version=BEND.version, left_at_s=0.0, now_s=0.0)
+    newer = bend(speed_limit_mps=22.0)
+    hear(exchange, ether, MapOffer(newer, (TABLE_DIGEST,)), now_s=0.1)
+    hear(exchange, ether, AdvisoryNotice("bend", newer.version, ADVICE, issued_unix_s=0), now_s=0.1)
+    assert (exchange.section, exchange.advisory) == (BEND, None)
+    assert exchange.record().messages_ignored_count == 2
+
+
+def test_nothing_is_sent_before_its_time():
+    exchange = an_exchange(Ether())
+    exchange.begin(now_s=0.0)
+    assert exchange.tick(now_s=0.49) == ()
+    assert len(exchange.tick(now_s=0.5)) == 1
+
+
+def test_an_announcement_leaves_a_frame_for_the_summary():
+    exchange = an_exchange(Ether(), known=BEND, spent=VEHICLE_FRAME_BUDGET - 1)
+    assert exchange.begin(now_s=0.0) == ()
+    assert exchange.stage is Stage.DRIVING
+    assert len(exchange.report(SUMMARY, map_version=BEND.version, left_at_s=9.0, now_s=10.0)) == 1
+
+
+def test_a_section_that_ends_after_now_by_the_estimate_gives_an_age_of_zero():
+    exchange = an_exchange(ether := Ether(), known=BEND)
+    (frame,) = exchange.report(SUMMARY, map_version=BEND.version, left_at_s=10.02, now_s=10.0)
+    assert ether.cargo[frame][2] == Passage(PASSAGE_ID, "bend", BEND.version, SUMMARY, age_s=0.0)
 
 
 def test_the_age_is_encoded_anew_for_every_try():
@@ -169,11 +231,11 @@ def test_a_message_larger_than_what_is_left_is_not_begun():
     assert exchange.record().ending is Ending.UNANSWERED
 
 
-def test_nothing_is_sent_to_a_unit_whose_model_serves_another_feature_table():
-    exchange = an_exchange(ether := Ether())
+@pytest.mark.parametrize("known", [None, BEND])
+def test_nothing_is_sent_to_a_unit_whose_model_serves_another_feature_table(known: RoadSection | None):
+    exchange = an_exchange(ether := Ether(), known=known)
     exchange.begin(now_s=0.0)
-    (frame,) = ether.put(MapOffer(BEND, ("another-table",)))
-    exchange.receive(frame, now_s=0.1)
+    hear(exchange, ether, MapOffer(BEND, ("another-table",)), now_s=0.1)
     assert exchange.report(SUMMARY, map_version=BEND.version, left_at_s=9.0, now_s=10.0) == ()
     record = exchange.record()
     assert (record.ending, record.withheld) == (Ending.WITHHELD, Reason.WRONG_FEATURE_TABLE)
@@ -198,8 +260,7 @@ def test_what_is_meant_for_somebody_else_changes_nothing():
         Arrival(bytes(16), "bend"),
     ]
     for message in foreign:
-        (frame,) = ether.put(message)
-        exchange.receive(frame, now_s=0.1)
+        hear(exchange, ether, message, now_s=0.1)
     assert exchange.stage is Stage.ARRIVING
     assert exchange.section is None
     assert exchange.advisory is None
@@ -210,27 +271,23 @@ def test_a_duplicate_of_a_busy_receipt_does_not_push_the_next_try_away():
     exchange = an_exchange(ether := Ether(), known=BEND)
     exchange.report(SUMMARY, map_version=BEND.version, left_at_s=0.0, now_s=0.0)
     for now_s in (0.1, 1.9):
-        (frame,) = ether.put(Receipt(PASSAGE_ID, Rejected(Reason.BUSY)))
-        exchange.receive(frame, now_s=now_s)
+        hear(exchange, ether, Receipt(PASSAGE_ID, Rejected(Reason.BUSY)), now_s=now_s)
     assert exchange.wake_at_s == pytest.approx(2.1)
 
 
 def test_a_unit_that_does_not_know_the_section_ends_the_exchange_before_the_drive():
     exchange = an_exchange(ether := Ether())
     exchange.begin(now_s=0.0)
-    (frame,) = ether.put(Receipt(PASSAGE_ID, Rejected(Reason.UNKNOWN_SECTION)))
-    exchange.receive(frame, now_s=0.1)
+    hear(exchange, ether, Receipt(PASSAGE_ID, Rejected(Reason.UNKNOWN_SECTION)), now_s=0.1)
     assert exchange.record().ending is Ending.REJECTED
 
 
 def test_a_refusal_of_an_unread_message_ends_nothing_since_any_listener_could_forge_it():
     exchange = an_exchange(ether := Ether(), known=BEND)
     exchange.report(SUMMARY, map_version=BEND.version, left_at_s=0.0, now_s=0.0)
-    (unread,) = ether.put(Receipt(PASSAGE_ID[:8] + bytes(8), Rejected(Reason.UNSIGNED)))
-    exchange.receive(unread, now_s=0.1)
+    hear(exchange, ether, Receipt(PASSAGE_ID[:8] + bytes(8), Rejected(Reason.UNSIGNED)), now_s=0.1)
     assert exchange.stage is Stage.REPORTING
-    (good,) = ether.put(Receipt(PASSAGE_ID, Accepted()))
-    exchange.receive(good, now_s=0.2)
+    hear(exchange, ether, Receipt(PASSAGE_ID, Accepted()), now_s=0.2)
     assert exchange.record().ending is Ending.ACCEPTED
 
 
@@ -238,20 +295,57 @@ def test_when_every_try_is_refused_unread_the_reason_is_told():
     exchange = an_exchange(ether := Ether(), known=BEND)
     exchange.report(SUMMARY, map_version=BEND.version, left_at_s=0.0, now_s=0.0)
     while exchange.stage is Stage.REPORTING:
-        (unread,) = ether.put(Receipt(PASSAGE_ID[:8] + bytes(8), Rejected(Reason.UNSIGNED)))
-        exchange.receive(unread, now_s=exchange.wake_at_s)
+        unread = Receipt(PASSAGE_ID[:8] + bytes(8), Rejected(Reason.UNSIGNED))
+        hear(exchange, ether, unread, now_s=exchange.wake_at_s)
         exchange.tick(now_s=exchange.wake_at_s)
     record = exchange.record()
     assert (record.ending, record.outcome) == (Ending.REJECTED, Rejected(Reason.UNSIGNED))
     assert record.report_tries_count == 5
 
 
+def test_a_vehicle_without_a_map_that_was_told_why_ends_refused_for_that_reason():
+    exchange = an_exchange(ether := Ether())
+    exchange.begin(now_s=0.0)
+    (unread,) = ether.put(Receipt(PASSAGE_ID[:8] + bytes(8), Rejected(Reason.UNSIGNED)))
+    exchange.receive(unread, now_s=0.1)
+    exchange.withhold(Reason.PASSAGE_ABORTED)
+    record = exchange.record()
+    assert (record.ending, record.outcome) == (Ending.REJECTED, Rejected(Reason.UNSIGNED))
+
+
+def test_withholding_leaves_an_exchange_that_has_ended_as_it_is():
+    exchange = an_exchange(ether := Ether())
+    exchange.begin(now_s=0.0)
+    (frame,) = ether.put(Receipt(PASSAGE_ID, Rejected(Reason.UNKNOWN_SECTION)))
+    exchange.receive(frame, now_s=0.1)
+    exchange.withhold(Reason.PASSAGE_ABORTED)
+    assert exchange.record().ending is Ending.REJECTED
+
+
 def test_a_forged_acceptance_of_an_unread_message_is_ignored():
     exchange = an_exchange(ether := Ether(), known=BEND)
     exchange.report(SUMMARY, map_version=BEND.version, left_at_s=0.0, now_s=0.0)
-    (forged,) = ether.put(Receipt(PASSAGE_ID[:8] + bytes(8), Accepted()))
-    exchange.receive(forged, now_s=0.1)
+    hear(exchange, ether, Receipt(PASSAGE_ID[:8] + bytes(8), Accepted()), now_s=0.1)
     assert exchange.stage is Stage.REPORTING
+    assert exchange.record().outcome is None
+
+
+def test_what_a_unit_says_after_the_end_changes_nothing():
+    exchange = an_exchange(ether := Ether(), known=BEND)
+    exchange.report(SUMMARY, map_version=BEND.version, left_at_s=0.0, now_s=0.0)
+    hear(exchange, ether, Receipt(PASSAGE_ID, Accepted()), now_s=0.1)
+    hear(exchange, ether, Receipt(PASSAGE_ID, Rejected(Reason.STALE_MAP)), now_s=0.2)
+    record = exchange.record()
+    assert (record.ending, record.outcome, record.messages_ignored_count) == (Ending.ACCEPTED, Accepted(), 1)
+
+
+def test_a_spoiled_frame_is_counted_and_changes_nothing():
+    exchange = an_exchange(Ether())
+    exchange.begin(now_s=0.0)
+    exchange.receive(b"spoiled", now_s=0.1)
+    record = exchange.record()
+    assert exchange.stage is Stage.ARRIVING
+    assert (record.frames_received_count, record.frames_refused_count, record.messages_ignored_count) == (1, 1, 0)
 
 
 def test_an_exchange_begins_once_and_reports_once():
@@ -268,13 +362,17 @@ def test_an_exchange_begins_once_and_reports_once():
 
 def test_stretched_patience_keeps_its_counts():
     stretched = Patience().stretched(60.0)
-    assert stretched.reply_s == pytest.approx(30.0)
+    assert (stretched.reply_s, stretched.longest_s, stretched.postpone_s) == pytest.approx((30.0, 360.0, 120.0))
     assert replace(stretched, reply_s=0.5, longest_s=6.0, postpone_s=2.0) == Patience()
 
 
 def test_waits_grow_and_stop_growing():
     patience = Patience(reply_s=0.5, backoff_ratio=2.0, longest_s=3.0)
     assert [patience.wait_s(0.5, tries_count=n) for n in (1, 2, 3, 4, 5)] == [0.5, 1.0, 2.0, 3.0, 3.0]
+
+
+def test_no_wait_is_shorter_than_the_first():
+    assert [Patience(longest_s=6.0).wait_s(8.0, tries_count=n) for n in (1, 2, 3)] == [8.0, 8.0, 8.0]
 
 
 fates = st.lists(st.sampled_from(Fate), max_size=60)
@@ -294,6 +392,7 @@ def test_whatever_the_air_does_the_budget_holds_and_the_exchange_ends(
     record, air = a_passage(fates, outcomes=outcomes, frames_per_message=frames_per_message)
     assert air.sent_count == record.frames_sent_count <= VEHICLE_FRAME_BUDGET
     assert air.exchange.stage is Stage.ENDED
+    assert air.exchange.wake_at_s == inf
     if record.ending is Ending.ACCEPTED:
         assert air.unit.stored[PASSAGE_ID] == record.outcome == Accepted()
     if record.ending is Ending.REJECTED:
