@@ -268,12 +268,19 @@ class Exchange:
         return self._send(self._passage, now_s)
 
     def withhold(self, reason: Reason) -> None:
-        """End the exchange without a summary, because the drive gave none that may be sent."""
+        """End the exchange without a summary, because the drive gave none that may be sent.
+
+        A vehicle without a map that was told why ends refused, for that reason. An exchange that has ended stays
+        as it is.
+        """
         if self._stage is Stage.REPORTING:
             message = "the summary has already been sent"
             raise ValueError(message)
+        if self._stage is Stage.ENDED:
+            return
         if self._section is None:
-            self._end(Ending.NO_MAP)
+            refused = isinstance(self._outcome, Rejected) and not self._outcome.reason.may_retry
+            self._end(Ending.REJECTED if refused else Ending.NO_MAP)
             return
         self._withheld = reason
         self._end(Ending.WITHHELD)

@@ -237,16 +237,17 @@ class _Fleet:
 
     async def run(self) -> FleetReport:
         visits = draw_visits(self._plan)
+        all_passed = asyncio.Event()
         await self._in_thread(self._tools.simulate, self._plan.section, visits[0].plan)
         self._watch(FleetReady())
         self._clock = SpedUpClock(self._plan.speedup_ratio)
         async with asyncio.TaskGroup() as group:
-            spooling = group.create_task(self._deliver_now_and_then())
+            group.create_task(self._deliver_now_and_then(until=all_passed))
             async with asyncio.TaskGroup() as driving:
                 async for visit, drive in self._drives(visits):
                     await sleep_until(visit.arrives_at_s, self._clock)
                     driving.create_task(self._pass(visit, drive))
-            spooling.cancel()
+            all_passed.set()
         for _ in range(SPOOL_LAST_ROUNDS_COUNT):
             await self._deliver()
         counts = self._spool.counts
@@ -305,6 +306,8 @@ class _Fleet:
         self, exchange: Exchange, uplink: Uplink, drive: Drive, entered_at_s: float
     ) -> SpooledSummary | None:
         """Send what the pipeline makes of the drive; return what the spool would have to keep."""
+        if exchange.stage is Stage.ENDED:
+            return None
         section = exchange.section
         if section is None or not drive.completed:
             exchange.withhold(Reason.PASSAGE_ABORTED)
@@ -330,10 +333,13 @@ class _Fleet:
             frames_spent_count=record.frames_sent_count,
         )
 
-    async def _deliver_now_and_then(self) -> None:
-        while True:
-            await asyncio.sleep(self._clock.wall_s(SPOOL_ROUND_S))
-            await self._deliver()
+    async def _deliver_now_and_then(self, *, until: asyncio.Event) -> None:
+        """Try what waits, round after round. A round that has begun is finished, or its frames would go uncounted."""
+        while not until.is_set():
+            try:
+                await asyncio.wait_for(until.wait(), timeout=self._clock.wall_s(SPOOL_ROUND_S))
+            except TimeoutError:
+                await self._deliver()
 
     async def _deliver(self) -> None:
         """Try every summary that waits once more."""

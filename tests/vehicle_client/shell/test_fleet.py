@@ -9,7 +9,17 @@ import numpy as np
 import pytest
 
 from roadgrip.errors import ConfigurationError
-from roadgrip.records import VEHICLE_FRAME_BUDGET, Accepted, Arrival, NotCounted, Outcome, Passage, Reason, Rejected
+from roadgrip.records import (
+    VEHICLE_FRAME_BUDGET,
+    Accepted,
+    Arrival,
+    NotCounted,
+    Outcome,
+    Passage,
+    Reason,
+    Receipt,
+    Rejected,
+)
 from roadgrip.section import RoadSection
 from tests.vehicle_client.shell.air import BEND, SUMMARY, Ether, TokenCodec, Unit, bend
 from tests.vehicle_client.shell.cars import Summarised, WireToUnit, a_drive
@@ -155,6 +165,26 @@ def test_a_passage_whose_frames_are_used_up_is_given_up_and_counted(tmp_path: Pa
     assert report.budget_peak_count == VEHICLE_FRAME_BUDGET
     assert report.frames_spent_count == 1
     assert report.accepted_count == report.waiting_count == 0
+
+
+def test_every_frame_is_accounted_for_also_of_a_delivery_that_the_last_passage_interrupts(tmp_path: Path):
+    # The last exchange ends at 966 s, while the round that began at 900 s tries ten summaries.
+    report, _, links = play(a_plan(11), tmp_path, lost=lambda _: (Passage,))
+    assert report.frames_sent_count == sum(len(link.sent) for link in links)
+    assert report.budget_peak_count <= VEHICLE_FRAME_BUDGET
+
+
+def test_a_receipt_that_ends_the_exchange_during_the_drive_ends_no_fleet(tmp_path: Path):
+    class EarlyVerdict(Unit):
+        def answer(self, frame: bytes, now_s: float) -> list[bytes]:
+            replies = super().answer(frame, now_s)
+            arrival = self.heard[-1]
+            assert isinstance(arrival, Arrival)
+            refusal = Receipt(arrival.passage_id, Rejected(Reason.STALE_MAP))
+            return [*replies, *self.codec.frames_of(refusal)]
+
+    report, _, _ = play(a_plan(2), tmp_path, unit=EarlyVerdict(TokenCodec(Ether())))
+    assert dict(report.rejected) == {"stale_map": 2}
 
 
 def test_a_drive_that_left_the_road_sends_no_summary(tmp_path: Path):
