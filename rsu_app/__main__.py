@@ -14,7 +14,7 @@ from rich.table import Table
 
 from roadgrip.errors import RoadgripError
 from rsu_app.section_cli import section_app
-from rsu_app.settings import load_settings, settings_rows, settings_table
+from rsu_app.settings import CONFIG_VARIABLE, load_settings, settings_rows, settings_table, shown_value
 
 USAGE_ERROR = 2
 
@@ -38,7 +38,7 @@ ConfigFile = Annotated[
     typer.Option(
         "--config",
         "-c",
-        envvar="ROADGRIP_CONFIG",
+        envvar=CONFIG_VARIABLE,
         help="TOML file with settings; without one the defaults hold. Environment variables overrule both.",
     ),
 ]
@@ -114,11 +114,11 @@ def show_config(config_file: ConfigFile = None, as_json: AsJson = False) -> None
         return
     table = Table("setting", "value", "meaning")
     for number, section in enumerate(values["sections"]):
-        table.add_row(f"sections[{number}]", json.dumps(section), "")
+        table.add_row(f"sections[{number}]", json.dumps(section), "A section this unit serves.")
     for row in settings_rows():
         group, _, name = row.name.partition(".")
         if name and not group.startswith("sections"):
-            table.add_row(row.name, str(values[group][name]), row.description)
+            table.add_row(row.name, shown_value(values[group][name]), row.description)
     Console().print(table)
 
 

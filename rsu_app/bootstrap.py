@@ -245,12 +245,14 @@ def check_settings(settings: Settings) -> list[str]:
     sections = load_sections(settings)
     signer, verifier = load_keys(settings)
     check_maps(sections, signer=signer)
+    if settings.database.path.is_dir():
+        raise ConfigurationError(f"database.path: {settings.database.path} is a folder; name a file in it")
     lines = [
         f"section {s.section_id}: {s.length_m:.0f} m, map {s.version}, bank {s.bank_origin.value}" for s in sections
     ]
     manifest = load_model(settings).manifest
     lines.append(
-        f"bundle {manifest.bundle_id}: {manifest.name}, friction {manifest.mu_range[0]} to {manifest.mu_range[1]}"
+        f"bundle {manifest.bundle_id}: {manifest.name}, friction {manifest.mu_range[0]:.2f} to {manifest.mu_range[1]:.2f}"
     )
     lines.append("signs as " + signer.key_id.hex() if signer else "signs nothing")
     if verifier is None:

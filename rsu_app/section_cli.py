@@ -99,7 +99,7 @@ def import_section(
             raise SectionError(f"{source} is larger than {BYTES_LIMIT} bytes; that is no section of road")
         data = source.read_bytes()
     except OSError as error:
-        raise SectionError(f"{source}: cannot be read: {error}") from error
+        raise SectionError(f"cannot read {source}: {error.strerror or error}") from error
     section_id = section_id or _id_of(source)
     section, report = section_of_survey(
         survey_of_bytes(data, road_format=road_format, crs=crs),
@@ -189,7 +189,7 @@ def _write(path: Path, text: str) -> None:
         part.write_text(text, encoding="utf-8")
         part.replace(path)
     except OSError as error:
-        raise SectionError(f"{path}: cannot be written: {error}") from error
+        raise SectionError(f"cannot write {path}: {error.strerror or error}") from error
 
 
 def _draw(section: RoadSection, path: Path) -> None:
@@ -206,7 +206,7 @@ def _draw(section: RoadSection, path: Path) -> None:
     try:
         figure.savefig(path, dpi=110)
     except OSError as error:
-        raise SectionError(f"{path}: cannot be written: {error}") from error
+        raise SectionError(f"cannot write {path}: {error.strerror or error}") from error
 
 
 def _print_section(section: RoadSection) -> None:

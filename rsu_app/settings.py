@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from ipaddress import ip_address
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict
@@ -21,8 +21,13 @@ from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, Settings
 from roadgrip.errors import ConfigurationError
 from roadgrip.units import WINDOW_S, kph_to_mps
 
+if TYPE_CHECKING:
+    from pydantic_core import ErrorDetails
+
 ENV_PREFIX = "ROADGRIP_"
 ENV_DELIMITER = "__"
+CONFIG_VARIABLE = "ROADGRIP_CONFIG"
+"""Names the file of settings; no setting itself."""
 
 Port = Annotated[int, Field(ge=0, le=65_535)]
 """A UDP or TCP port; 0 lets the machine choose, which tests use."""
@@ -333,10 +338,19 @@ def load_settings(config_file: Path | None) -> Settings:
     try:
         return Settings(**content)
     except ValidationError as error:
-        problems = "; ".join(f"{'.'.join(map(str, e['loc'])) or 'settings'}: {e['msg']}" for e in error.errors())
-        raise ConfigurationError(f"{config_file or 'environment'}: {problems}") from error
-    except ValueError as error:  # an environment variable that should be JSON and is not
-        raise ConfigurationError(f"environment: {error}") from error
+        problems = "; ".join(f"{'.'.join(map(str, e['loc'])) or 'settings'}: {_complaint(e)}" for e in error.errors())
+        where = "environment" if config_file is None else f"{config_file} and environment"
+        raise ConfigurationError(f"{where}: {problems}") from error
+    except ValueError as error:  # `sections` is the only setting that the environment holds as JSON
+        raise ConfigurationError(
+            f'{ENV_PREFIX}SECTIONS is not JSON; write it like this: [{{"file": "s-turn"}}]'
+        ) from error
+
+
+def _complaint(error: ErrorDetails) -> str:
+    if error["type"] == "extra_forbidden":
+        return "there is no such setting; `roadgrip-rsu config show` lists all"
+    return error["msg"].removeprefix("Value error, ")
 
 
 def is_packaged_name(file: str) -> bool:
@@ -389,16 +403,19 @@ def _rows(model: type[BaseModel], above: tuple[str, ...]) -> Iterator[SettingRow
         yield SettingRow(".".join(path), variable, _shown(field.get_default()), field.description or "")
 
 
+def shown_value(value: object) -> str:
+    """Return a setting's value as a person reads it: `none` for nothing, six digits of a fraction."""
+    if value is None or value == "":
+        return "none"
+    if isinstance(value, bool):
+        return str(value).lower()
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
 def _shown(default: object) -> str:
     if default is None or default == "":
         return "none"
-    if isinstance(default, bool):
-        return f"`{str(default).lower()}`"
-    if isinstance(default, float):
-        return f"`{default:.6g}`"
-    if isinstance(default, str | int | Path):
-        return f"`{default}`"
-    return "must be given"
+    return f"`{shown_value(default)}`" if isinstance(default, bool | float | str | int | Path) else "must be given"
 
 
 def _anchor_paths(content: dict[str, Any], folder: Path) -> None:
@@ -419,11 +436,10 @@ def _anchor_paths(content: dict[str, Any], folder: Path) -> None:
 
 def _refuse_unknown_variables() -> None:
     """Raise for a misspelt variable; pydantic-settings would pass over it in silence."""
-    known = {row.variable for row in settings_rows()}
-    unknown = sorted(
-        name
-        for name in os.environ
-        if name.startswith(ENV_PREFIX) and ENV_DELIMITER in name and name.upper() not in known
-    )
+    known = {row.variable for row in settings_rows()} | {CONFIG_VARIABLE}
+    unknown = sorted(name for name in os.environ if name.startswith(ENV_PREFIX) and name.upper() not in known)
     if unknown:
-        raise ConfigurationError(f"unknown environment variables: {', '.join(unknown)}")
+        raise ConfigurationError(
+            f"unknown environment variables: {', '.join(unknown)}; a setting's group and name are joined by two "
+            f"underscores, as in {ENV_PREFIX}HTTP{ENV_DELIMITER}PORT"
+        )

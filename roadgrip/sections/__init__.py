@@ -34,7 +34,9 @@ def read_section(place: str | Path) -> RoadSection:
         raise SectionError(f"no section {text!r}; packaged are {packaged}, anything else is the path of a .json file")
     try:
         return section_from_json(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise SectionError(f"{path}: cannot be read: {error}") from error
+    except OSError as error:
+        raise SectionError(f"cannot read {path}: {error.strerror or error}") from error
+    except UnicodeDecodeError as error:
+        raise SectionError(f"{path}: section file: not UTF-8 text (byte {error.start}); is it compressed?") from error
     except SectionError as error:
         raise SectionError(f"{path}: {error}") from error

@@ -90,6 +90,7 @@ def test_settings_that_hold_are_explained(config):
         ('[model]\nbundle_path = "missing"\n', "missing"),
         ('[signing]\nkey_file = "missing.pem"\n', r"missing\.pem"),
         ('[signing]\ntrusted_keys_folder = "missing"\n', "trusted_keys_folder"),
+        ('[database]\npath = "."\n', r"database\.path: .* is a folder; name a file"),
         ("[http]\nport = -1\n", r"http\.port"),
         ("not toml", "TOML"),
     ],
@@ -105,3 +106,16 @@ def test_the_folder_of_a_database_that_cannot_be_made_is_named(tmp_path, monkeyp
     path = tmp_path / "bad.toml"
     path.write_text('[database]\npath = "file/rsu.sqlite3"\n', encoding="utf-8")
     assert "rsu.sqlite3" in refused(monkeypatch, capsys, "db", "upgrade", "--config", str(path))
+
+
+def test_a_spoilt_bundle_is_named_with_its_folder(config, monkeypatch, capsys):
+    with (config.parent / "bundle" / "model.onnx").open("ab") as model:
+        model.write(b"?")
+    complaint = refused(monkeypatch, capsys, "config", "check", "--config", str(config))
+    assert f"{config.parent / 'bundle'}: bundle file model.onnx differs" in complaint
+
+
+def test_settings_are_shown_in_words_of_their_table(config):
+    shown = said("config", "show", "--config", str(config))
+    assert "16.6667" in shown
+    assert "None" not in shown

@@ -54,12 +54,12 @@ def test_a_packaged_section_keeps_its_name(tmp_path):
 @pytest.mark.parametrize(
     ("text", "named"),
     [
-        ("[http]\nprot = 1\n", "http.prot"),
+        ("[http]\nprot = 1\n", "http.prot: there is no such setting"),
         ("[http]\nport = 70000\n", "http.port"),
         ('[http]\nhost = "my host"\n', "http.host"),
         ("[clock]\nspeedup_ratio = nan\n", "clock.speedup_ratio"),
         ("[clock]\nspeedup_ratio = inf\n", "clock.speedup_ratio"),
-        ("[signing]\nrequired = true\n", "signing"),
+        ("[signing]\nrequired = true\n", "signing: required needs trusted_keys_folder"),
         ("sections = []\n", "sections"),
         ("[http\n", "not TOML"),
         ("http = 3\n", "http"),
@@ -75,15 +75,21 @@ def test_a_file_that_is_not_there_is_named(tmp_path):
         load_settings(tmp_path / "nowhere.toml")
 
 
-def test_a_misspelt_variable_is_refused(monkeypatch):
-    monkeypatch.setenv("ROADGRIP_HTTP__PROT", "1")
-    with pytest.raises(ConfigurationError, match="ROADGRIP_HTTP__PROT"):
+@pytest.mark.parametrize("variable", ["ROADGRIP_HTTP__PROT", "ROADGRIP_HTTP_PORT", "ROADGRIP_PORT"])
+def test_a_misspelt_variable_is_refused_with_the_right_spelling_shown(monkeypatch, variable):
+    monkeypatch.setenv(variable, "1")
+    with pytest.raises(ConfigurationError, match=f"{variable};.*ROADGRIP_HTTP__PORT"):
         load_settings(None)
+
+
+def test_the_variable_that_names_the_file_is_no_setting(monkeypatch):
+    monkeypatch.setenv("ROADGRIP_CONFIG", "rsu.toml")
+    assert load_settings(None) == load_settings(None)
 
 
 def test_a_variable_that_is_not_json_is_refused(monkeypatch):
     monkeypatch.setenv("ROADGRIP_SECTIONS", "s-turn")
-    with pytest.raises(ConfigurationError, match="sections"):
+    with pytest.raises(ConfigurationError, match=r"ROADGRIP_SECTIONS is not JSON; .*\[\{\"file\": \"s-turn\"\}\]"):
         load_settings(None)
 
 

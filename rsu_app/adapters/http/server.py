@@ -80,6 +80,8 @@ def listening_socket(host: str, port: int) -> socket.socket:
         link.bind((host, port))
     except OSError as error:
         link.close()
-        raise ConfigurationError(f"cannot listen on http {host}:{port}: {error.strerror}") from error
+        raise ConfigurationError(
+            f"cannot listen on http {host}:{port}: {error.strerror}; see http.host and http.port"
+        ) from error
     link.setblocking(False)  # noqa: FBT003 - the standard library's signature
     return link

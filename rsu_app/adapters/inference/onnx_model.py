@@ -112,11 +112,13 @@ def load_bundle(folder: Path) -> OnnxFrictionModel:
         raise BundleError(f"{folder} holds no {MANIFEST_NAME}")
     try:
         manifest = manifest_from_json(text.decode())
+        check_files(manifest, files)
+        model = OnnxFrictionModel(manifest, files[manifest.model_file])
+        check_golden(model)
     except UnicodeDecodeError as error:
         raise BundleError(f"{folder / MANIFEST_NAME} is no text") from error
-    check_files(manifest, files)
-    model = OnnxFrictionModel(manifest, files[manifest.model_file])
-    check_golden(model)
+    except BundleError as error:
+        raise BundleError(f"{folder}: {error}") from error
     return model
 
 
@@ -129,5 +131,5 @@ def _read_files(folder: Path) -> dict[str, bytes]:
                 raise BundleError(f"{path} is no file that belongs into a bundle")
             files[path.name] = path.read_bytes()
     except OSError as error:
-        raise BundleError(f"{folder} cannot be read as a bundle: {error}") from error
+        raise BundleError(f"cannot read {folder} as a bundle: {error.strerror or error}") from error
     return files

@@ -133,7 +133,9 @@ async def open_endpoint(
             allow_broadcast=broadcast_address is not None,
         )
     except OSError as error:
-        raise ConfigurationError(f"cannot listen on udp {host}:{port}: {error.strerror or error}") from error
+        raise ConfigurationError(
+            f"cannot listen on udp {host}:{port}: {error.strerror or error}; see udp.host and udp.port"
+        ) from error
     link = transport.get_extra_info("socket")
     link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, receive_buffer_bytes)
     granted_bytes = link.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
