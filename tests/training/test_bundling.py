@@ -8,20 +8,28 @@ import pytest
 from roadgrip.bundle import BundleManifest, check_files, manifest_from_json
 from roadgrip.errors import BundleError
 from tests.training.runs import made_up_runs
-from training.bundling import learn_envelope, write_bundle
-from training.export import onnx_estimate_mu
-from training.regressor import FitParameters, fit
+from training.bundling import GOLDEN_ROWS_COUNT, learn_envelope, write_bundle
+from training.export import onnx_estimate_mu, to_onnx
+from training.regressor import FitParameters, Fitted, fit
+
+RUNS = made_up_runs(1500)
 
 
 @pytest.fixture(scope="module")
-def bundle(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, BundleManifest]:
-    folder = tmp_path_factory.mktemp("bundle")
-    runs = made_up_runs(1500)
-    fitted = fit(runs, FitParameters(trees_count=40))
-    manifest = write_bundle(
-        runs, fitted, folder, name="test", provenance={"command": "a test"}, rng=np.random.default_rng(2)
+def fitted() -> Fitted:
+    return fit(RUNS, FitParameters(trees_count=40))
+
+
+def bundled(fitted: Fitted, folder: Path) -> BundleManifest:
+    return write_bundle(
+        RUNS, fitted, folder, name="test", provenance={"command": "a test"}, rng=np.random.default_rng(2)
     )
-    return folder, manifest
+
+
+@pytest.fixture(scope="module")
+def bundle(fitted: Fitted, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, BundleManifest]:
+    folder = tmp_path_factory.mktemp("bundle")
+    return folder, bundled(fitted, folder)
 
 
 def test_a_bundle_reads_back_as_it_was_written(bundle: tuple[Path, BundleManifest]) -> None:
@@ -44,6 +52,30 @@ def test_golden_vectors_are_what_the_model_answers(bundle: tuple[Path, BundleMan
     assert answers == pytest.approx(np.array(manifest.golden.mu), abs=1e-7)
 
 
+def test_golden_vectors_are_passages_the_trees_never_saw(bundle: tuple[Path, BundleManifest], fitted: Fitted) -> None:
+    _, manifest = bundle
+    unseen = {tuple(row) for row in RUNS.features[fitted.test_rows].astype(np.float32).tolist()}
+    assert set(manifest.golden.rows) <= unseen
+    assert len(set(manifest.golden.rows)) == GOLDEN_ROWS_COUNT
+
+
+def test_the_envelope_is_learned_from_what_the_trees_learned_from(
+    bundle: tuple[Path, BundleManifest], fitted: Fitted
+) -> None:
+    _, manifest = bundle
+    assert manifest.envelope == learn_envelope(RUNS.features[fitted.train_rows])
+
+
+def test_an_export_that_answers_otherwise_leaves_nothing_behind(
+    fitted: Fitted, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    other = to_onnx(fitted.booster[:20])
+    monkeypatch.setattr("training.bundling.to_onnx", lambda _trees: other)
+    with pytest.raises(BundleError, match="differs from the trained one"):
+        bundled(fitted, tmp_path / "bundle")
+    assert not (tmp_path / "bundle").exists()
+
+
 def test_the_manifest_says_how_the_model_came_about(bundle: tuple[Path, BundleManifest]) -> None:
     _, manifest = bundle
     assert manifest.provenance["command"] == "a test"
@@ -54,6 +86,19 @@ def test_the_manifest_says_how_the_model_came_about(bundle: tuple[Path, BundleMa
 def outside_count(rows: np.ndarray, lower: tuple[float, ...], upper: tuple[float, ...]) -> np.ndarray:
     outside = (rows < np.array(lower)) | (rows > np.array(upper))
     return np.asarray(np.count_nonzero(outside, axis=1))
+
+
+def test_a_side_of_the_envelope_is_a_quantile_widened_by_a_twentieth_of_the_span() -> None:
+    # 1,001 even steps from 0 to 1: the tails of 0.1 % end at 0.001 and 0.999.
+    envelope = learn_envelope(np.tile(np.linspace(0.0, 1.0, 1001)[:, None], (1, 78)))
+    assert envelope.lower == pytest.approx((0.001 - 0.05 * 0.998,) * 78, abs=2e-6)
+    assert envelope.upper == pytest.approx((0.999 + 0.05 * 0.998,) * 78, abs=2e-6)
+
+
+def test_one_wild_row_in_a_thousand_does_not_open_the_envelope() -> None:
+    rows = np.random.default_rng(4).normal(size=(1000, 78))
+    rows[0] = 50.0
+    assert learn_envelope(rows).outside_allowed_count < 10
 
 
 def test_the_envelope_calls_few_ordinary_rows_strange() -> None:
@@ -70,9 +115,10 @@ def test_the_envelope_calls_rows_from_elsewhere_strange() -> None:
     assert np.mean(elsewhere > envelope.outside_allowed_count) > 0.99
 
 
-def test_a_feature_that_never_changed_does_not_make_its_own_value_strange() -> None:
+@pytest.mark.parametrize("value", [613.0371, -613.0371])
+def test_a_feature_that_never_changed_does_not_make_its_own_value_strange(value: float) -> None:
     rows = np.random.default_rng(4).normal(size=(2000, 78))
-    rows[:, 77] = np.float32(613.0371)
+    rows[:, 77] = np.float32(value)
     envelope = learn_envelope(rows)
-    rows[:, 77] = 613.0371
+    rows[:, 77] = value
     assert outside_count(rows[:, 77:], envelope.lower[77:], envelope.upper[77:]).sum() == 0

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -31,11 +32,40 @@ def test_digest_does_not_depend_on_the_order_of_runs() -> None:
     assert shuffled(runs, seed=3).digest() == runs.digest()
 
 
-def test_digest_sees_one_changed_number() -> None:
+def test_digest_sees_one_changed_number_label_or_outcome() -> None:
     runs = made_up_runs(60)
-    before = runs.digest()
-    runs.features[7, 11] += 1e-3
-    assert runs.digest() != before
+    feature, label = runs.features.copy(), runs.labels["label_mu"].copy()
+    feature[7, 11] += 1e-3
+    label[7] += 1e-6
+    changed = (
+        replace(runs, features=feature),
+        replace(runs, labels={**runs.labels, "label_mu": label}),
+        replace(runs, outcome=("left_road", *runs.outcome[1:])),
+    )
+    assert len({runs.digest(), *(other.digest() for other in changed)}) == 4
+
+
+def test_a_run_without_a_label_or_with_a_hole_in_its_features_is_not_usable() -> None:
+    runs = made_up_runs(40)
+    runs.labels["label_mu"][0] = np.nan
+    runs.features[1, 77] = np.nan
+    assert np.flatnonzero(~runs.usable).tolist() == [0, 1, 9, 19, 29, 39]
+
+
+def test_a_table_whose_writing_breaks_off_leaves_the_one_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "a.parquet"
+    write_runs(made_up_runs(20), path, description={})
+
+    def broken_off(_table: object, where: Path, **_options: object) -> None:
+        where.write_bytes(b"half a ta")
+        raise OSError
+
+    monkeypatch.setattr(pq, "write_table", broken_off)
+    with pytest.raises(OSError):
+        write_runs(made_up_runs(30), path, description={})
+    assert len(read_runs(tmp_path)) == 20
 
 
 def test_failed_runs_stay_in_the_table_and_are_not_usable(tmp_path: Path) -> None:
@@ -44,6 +74,14 @@ def test_failed_runs_stay_in_the_table_and_are_not_usable(tmp_path: Path) -> Non
     assert len(runs) == 40
     assert runs.usable.sum() == 36
     assert [runs.outcome[i] for i in np.flatnonzero(~runs.usable)] == ["left_road"] * 4
+
+
+def test_a_table_that_lacks_a_column_says_which(tmp_path: Path) -> None:
+    path = tmp_path / "a.parquet"
+    write_runs(made_up_runs(20), path, description={})
+    pq.write_table(pq.read_table(path).drop_columns(["wear_ratio"]), path)
+    with pytest.raises(DatasetError, match="wear_ratio"):
+        read_runs(path)
 
 
 def test_an_empty_folder_is_an_error_that_says_how_to_fill_it(tmp_path: Path) -> None:

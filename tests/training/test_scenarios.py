@@ -1,6 +1,9 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
+from math import inf
+from typing import Any
 
 import numpy as np
 import pytest
@@ -8,8 +11,16 @@ import pytest
 from roadgrip.section import RoadSection
 from roadgrip.sections import read_section
 from training.random_roads import LENGTH_RANGE_M, RADIUS_RANGE_M, random_section
-from training.scenarios import BASE_FRICTIONS_MU, Design, mixed_design, paper_roads_design, runs_of, shards_of
-from vehicle_client.simulator.plan import SensorGrade
+from training.scenarios import (
+    BASE_FRICTIONS_MU,
+    WITH_GNSS_FRAC,
+    Design,
+    mixed_design,
+    paper_roads_design,
+    runs_of,
+    shards_of,
+)
+from vehicle_client.simulator.plan import DriverKind, SensorGrade
 
 
 @pytest.fixture(scope="module")
@@ -44,10 +55,33 @@ def test_another_seed_changes_every_run(s_turn: RoadSection) -> None:
     assert not set(one) & set(other)
 
 
-def test_a_shard_of_another_seed_or_grade_has_another_file(s_turn: RoadSection) -> None:
-    automotive = paper_roads_design((s_turn,), runs_count=25, sensor_grade=SensorGrade.AUTOMOTIVE, seed=1)
-    names = {shards_of(design)[0].name for design in (design_of(s_turn), design_of(s_turn, seed=2), automotive)}
-    assert len(names) == 3
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"name": "mixed"},
+        {"seed": 2},
+        {"sensor_grade": SensorGrade.AUTOMOTIVE},
+        {"driver_kind": DriverKind.REACTING},
+        {"base_frictions_mu": (0.2, 0.3)},
+    ],
+)
+def test_a_shard_with_other_runs_has_another_file(s_turn: RoadSection, changed: dict[str, Any]) -> None:
+    design = design_of(s_turn)
+    assert shards_of(replace(design, **changed))[0].name != shards_of(design)[0].name
+
+
+def test_a_shard_on_a_road_that_was_mapped_anew_has_another_file(s_turn: RoadSection) -> None:
+    anew = replace(s_turn, speed_limit_mps=s_turn.speed_limit_mps + 1.0)
+    assert shards_of(design_of(anew))[0].name != shards_of(design_of(s_turn))[0].name
+
+
+def test_runs_are_planned_as_the_design_says(s_turn: RoadSection) -> None:
+    design = replace(design_of(s_turn), driver_kind=DriverKind.REACTING)
+    plans = [run.plan for shard in shards_of(design) for run in runs_of(shard)]
+    assert {plan.driver.friction_guess_mu for plan in plans} == {inf}  # a reacting driver guesses nothing
+    assert {plan.sensor_grade for plan in plans} == {SensorGrade.IDEAL}
+    # 275 vehicles, three quarters of them with position fixes: within four standard deviations.
+    assert sum(plan.with_gnss for plan in plans) / len(plans) == pytest.approx(WITH_GNSS_FRAC, abs=0.11)
 
 
 def test_random_roads_stay_within_the_papers_range_of_risk() -> None:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,12 +9,15 @@ import pytest
 from typer.testing import CliRunner
 
 from roadgrip.bundle import manifest_from_json
+from roadgrip.features import road_features
 from roadgrip.sections import read_section
 from training.__main__ import app
 from training.dataset import COMPLETED, Runs, read_description, read_runs, write_runs
-from training.scenarios import SHARD_RUNS_COUNT, Design, Road, shards_of
+from training.scenarios import SHARD_RUNS_COUNT, Design, Road, Shard, runs_of, shards_of
 from training.simulation import Progress, drive_design, drive_shard
+from vehicle_client.pipeline import Summarised, summarise_passage
 from vehicle_client.simulator.plan import DriverKind, SensorGrade
+from vehicle_client.simulator.run import simulate_passage
 
 pytestmark = [pytest.mark.sim, pytest.mark.xdist_group("sim")]
 
@@ -30,8 +34,15 @@ def small_design(runs_count: int) -> Design:
 
 
 @pytest.fixture(scope="module")
-def driven() -> Runs:
-    return drive_shard(shards_of(small_design(4))[0])
+def shard() -> Shard:
+    """On ice a third of these cars call for their stability system, and one leaves the road."""
+    road = Road(read_section("s-turn"), 4)
+    return shards_of(replace(small_design(4), roads=(road,), base_frictions_mu=(0.2, 0.6)))[0]
+
+
+@pytest.fixture(scope="module")
+def driven(shard: Shard) -> Runs:
+    return drive_shard(shard)
 
 
 def test_a_shard_gives_one_row_per_run_with_the_friction_its_tyres_found(driven: Runs) -> None:
@@ -40,10 +51,28 @@ def test_a_shard_gives_one_row_per_run_with_the_friction_its_tyres_found(driven:
     assert driven.labels["label_mu"] == pytest.approx(base * wear, rel=1e-6)
 
 
+def test_a_run_that_is_driven_by_itself_gives_its_row_of_the_shard(shard: Shard, driven: Runs) -> None:
+    row = int(np.argmax(driven.labels["esc_active_frac"] * driven.usable))
+    run = runs_of(shard)[row]
+    drive = simulate_passage(shard.section, run.plan)
+    made = summarise_passage(drive.trace, shard.section)
+    assert isinstance(made, Summarised)
+    assert driven.run_key[row] == run.key
+    assert np.array_equal(driven.features[row], [*made.summary.values, *road_features(shard.section)])
+    assert {name: values[row] for name, values in driven.labels.items()} == {
+        "label_mu": drive.label_mu,
+        "base_friction_mu": run.plan.base_friction_mu,
+        "wear_ratio": run.plan.wear_factor,
+        "esc_active_frac": drive.esc_active_frac,
+        "peak_utilisation_ratio": drive.peak_utilisation_ratio,
+    }
+    assert drive.esc_active_frac > 0.0
+
+
 def test_completed_runs_have_all_features_and_others_none(driven: Runs) -> None:
     finite = np.isfinite(driven.features[:, :55]).all(axis=1)
     assert finite.tolist() == [outcome == COMPLETED for outcome in driven.outcome]
-    assert finite.any()
+    assert sorted(set(driven.outcome)) == [COMPLETED, "left_road"]
 
 
 def test_only_what_this_very_code_has_driven_is_not_driven_again_and_the_result_is_the_same(tmp_path: Path) -> None:

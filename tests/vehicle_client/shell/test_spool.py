@@ -1,7 +1,9 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
+import stat
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,8 +11,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from roadgrip.records import QualityFlag
 from tests.vehicle_client.shell.air import SUMMARY
-from vehicle_client.shell.spool import Spool, SpooledSummary, SpoolError, boot_clock
+from vehicle_client.shell.spool import ENTRY_LIMIT_BYTES, Spool, SpooledSummary, SpoolError, boot_clock
 
 
 def entry(number: int, *, clock_id: str = "boot-1") -> SpooledSummary:
@@ -18,7 +21,7 @@ def entry(number: int, *, clock_id: str = "boot-1") -> SpooledSummary:
         passage_id=number.to_bytes(16, "big"),
         section_id="bend",
         map_version="0123456789abcdef",
-        summary=SUMMARY,
+        summary=replace(SUMMARY, quality=QualityFlag.NO_GNSS | QualityFlag.STABILITY_ACTIVE),
         left_at_s=10.0 * number,
         clock_id=clock_id,
         frames_spent_count=6,
@@ -58,6 +61,16 @@ def test_a_full_spool_drops_its_oldest_and_counts_it(tmp_path: Path):
     assert len(list(tmp_path.iterdir())) == 3
 
 
+def test_a_spool_that_is_opened_smaller_drops_its_oldest(tmp_path: Path):
+    large = Spool(tmp_path, clock_id="boot-1", capacity_count=5)
+    for number in range(5):
+        large.keep(entry(number))
+    small = Spool(tmp_path, clock_id="boot-1", capacity_count=2)
+    assert small.waiting() == (entry(3), entry(4))
+    assert small.counts.overflowed_count == 3
+    assert len(list(tmp_path.iterdir())) == 2
+
+
 def test_keeping_a_passage_again_replaces_it_in_its_place(tmp_path: Path):
     spool = Spool(tmp_path, clock_id="boot-1")
     spool.keep(entry(1))
@@ -88,6 +101,42 @@ def test_a_file_that_is_no_summary_is_dropped_and_counted(tmp_path: Path, conten
     spool = Spool(tmp_path, clock_id="boot-1")
     assert len(spool) == 0
     assert spool.counts.unreadable_count == 1
+
+
+@pytest.mark.parametrize(
+    "changed", [{"format_version": 2}, {"passage_id": "0102"}, {"section_id": "x" * ENTRY_LIMIT_BYTES}]
+)
+def test_a_file_of_another_format_or_size_is_dropped_and_counted(tmp_path: Path, changed: dict[str, object]):
+    Spool(tmp_path, clock_id="boot-1").keep(entry(1))
+    (path,) = tmp_path.iterdir()
+    path.write_text(json.dumps(json.loads(path.read_text(encoding="utf-8")) | changed), encoding="utf-8")
+    spool = Spool(tmp_path, clock_id="boot-1")
+    assert len(spool) == 0
+    assert spool.counts.unreadable_count == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_summary_under_a_name_that_is_no_number_is_dropped_and_counted(tmp_path: Path):
+    Spool(tmp_path, clock_id="boot-1").keep(entry(1))
+    (path,) = tmp_path.iterdir()
+    path.rename(tmp_path / "copy.json")
+    spool = Spool(tmp_path, clock_id="boot-1")
+    assert len(spool) == 0
+    assert spool.counts.unreadable_count == 1
+
+
+def test_a_summary_is_on_the_disk_before_it_has_its_name_and_then_its_name_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    flushed = []
+
+    def fsync(descriptor: int) -> None:
+        is_folder = stat.S_ISDIR(os.fstat(descriptor).st_mode)
+        flushed.append(("folder" if is_folder else "file", [path.name for path in tmp_path.iterdir()]))
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    Spool(tmp_path, clock_id="boot-1").keep(entry(1))
+    assert flushed == [("file", ["000000000000.json.part"]), ("folder", ["000000000000.json"])]
 
 
 def test_a_disk_that_takes_nothing_leaves_the_spool_as_it_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
