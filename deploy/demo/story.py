@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, field
 
-from roadgrip.records import VEHICLE_FRAME_BUDGET, Accepted, Advisory
+from roadgrip.records import RSU_FRAME_BUDGET, VEHICLE_FRAME_BUDGET, Accepted, Advisory
 from vehicle_client.shell.fleet_events import (
     FleetEvent,
     FleetReady,
@@ -105,6 +106,7 @@ class Story:
         readings: What the unit published, in order.
         advised_speed_mps: What the last vehicle was told on its arrival.
         account: The fleet's account so far.
+        unit_frames_counts: Frames that the unit sent to each vehicle, by number, as the air saw them.
     """
 
     vehicles_count: int
@@ -116,6 +118,7 @@ class Story:
     readings: list[Reading] = field(default_factory=list)
     advised_speed_mps: float | None = None
     account: FleetReport = field(default_factory=FleetReport)
+    unit_frames_counts: Counter[int] = field(default_factory=Counter)
 
     def watch(self, event: FleetEvent) -> None:
         """Take what the fleet tells."""
@@ -128,6 +131,9 @@ class Story:
                 self.advised_speed_mps = None if advisory is None else advisory.speed_mps
             case PassageEnded():
                 self.account.add(event)
+                # The air saw the frames of both; what the vehicle did not send came from the unit.
+                sent_count = event.record.frames_sent_count - event.spent_before_count
+                self.unit_frames_counts[event.number] += event.air.offered_count - sent_count
                 vehicle = self.vehicles[event.number]
                 vehicle.passage_id = event.record.passage_id
                 vehicle.acknowledged = isinstance(event.record.outcome, Accepted)
@@ -172,6 +178,7 @@ class Story:
         stored = {v.passage_id for v in self.vehicles.values() if v.acknowledged} & set(self.estimates)
         acknowledged_count = sum(v.acknowledged for v in self.vehicles.values())
         peak_count = self.account.budget_peak_count
+        unit_peak_count = max(self.unit_frames_counts.values(), default=0)
         came = len(self.vehicles)
         return [
             _interval_check("before the road changes", self.last_reading(base_friction_mu=self.first_mu)),
@@ -186,6 +193,11 @@ class Story:
                 "no vehicle sent more frames than it may",
                 peak_count <= VEHICLE_FRAME_BUDGET,
                 f"{peak_count} of {VEHICLE_FRAME_BUDGET}",
+            ),
+            Check(
+                "the unit sent no vehicle more frames than it may",
+                unit_peak_count <= RSU_FRAME_BUDGET,
+                f"{unit_peak_count} of {RSU_FRAME_BUDGET}",
             ),
         ]
 

@@ -21,6 +21,7 @@ from deploy.demo.story import Estimate, Story
 from deploy.demo.terminal import picture_of, story_line
 from deploy.demo.unit import DemoError
 from roadgrip.records import (
+    RSU_FRAME_BUDGET,
     VEHICLE_FRAME_BUDGET,
     Accepted,
     Advisory,
@@ -54,7 +55,7 @@ def advice(mu_new: float | None, *, passages_count: int = 20) -> Advisory:
     return Advisory(13.89, AdvisoryReason.LOWER_CONFIDENCE_BOUND, Confidence.PROVISIONAL, interval, valid_for_s=300.0)
 
 
-def ended(number: int, *, frames_count: int = 2) -> PassageEnded:
+def ended(number: int, *, frames_count: int = 2, unit_frames_count: int = 3) -> PassageEnded:
     mu = FIRST_MU if number < 2 else SECOND_MU
     record = ExchangeRecord(
         passage_id=number.to_bytes(16, "big"),
@@ -70,7 +71,8 @@ def ended(number: int, *, frames_count: int = 2) -> PassageEnded:
         arrival_tries_count=1,
         report_tries_count=1,
     )
-    return PassageEnded(number, 1800.0 * number + 60.0, mu, 0.9 * mu, "completed", record, AirCounts(offered_count=5))
+    air = AirCounts(offered_count=frames_count + unit_frames_count)
+    return PassageEnded(number, 1800.0 * number + 60.0, mu, 0.9 * mu, "completed", record, air)
 
 
 def a_story(*, first_published: float | None = 0.46, last_published: float | None = 0.24) -> Story:
@@ -120,6 +122,12 @@ def test_a_vehicle_that_sent_too_much_breaks_a_promise():
     story = a_story()
     story.watch(ended(3, frames_count=VEHICLE_FRAME_BUDGET + 1))
     assert broken(story) == ["no vehicle sent more frames than it may"]
+
+
+def test_a_unit_that_sent_a_vehicle_too_much_breaks_a_promise():
+    story = a_story()
+    story.watch(ended(3, unit_frames_count=RSU_FRAME_BUDGET - 2))
+    assert broken(story) == ["the unit sent no vehicle more frames than it may"]
 
 
 def test_the_chart_shows_estimates_where_they_are():
