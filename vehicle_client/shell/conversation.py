@@ -12,6 +12,7 @@ from vehicle_client.shell.exchange import Exchange, Stage
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
+    from roadgrip.records import KinematicSummary
     from vehicle_client.shell.uplink import Uplink
 
 
@@ -60,6 +61,24 @@ async def arrive(exchange: Exchange, uplink: Uplink, clock: Clock) -> None:
     await send_all(exchange.begin(now_s=clock.now_s()), uplink)
     while exchange.stage is Stage.ARRIVING:
         await converse(exchange, uplink, clock, until_s=exchange.wake_at_s)
+
+
+async def report(
+    exchange: Exchange, uplink: Uplink, clock: Clock, summary: KinematicSummary, *, map_version: str, left_at_s: float
+) -> None:
+    """Send a summary, and return when it has been answered or the vehicle tries no more.
+
+    Args:
+        exchange: Of the passage.
+        uplink: Carries it.
+        clock: Of the exchange.
+        summary: What the pipeline made of the drive.
+        map_version: The map it was cut with.
+        left_at_s: When the vehicle left the section, on the clock.
+    """
+    frames = exchange.report(summary, map_version=map_version, left_at_s=left_at_s, now_s=clock.now_s())
+    await send_all(frames, uplink)
+    await converse(exchange, uplink, clock)
 
 
 async def converse(exchange: Exchange, uplink: Uplink, clock: Clock, *, until_s: float = inf) -> None:

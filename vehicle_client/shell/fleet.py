@@ -20,7 +20,7 @@ import numpy as np
 
 from roadgrip.errors import ConfigurationError
 from roadgrip.records import PASSAGE_ID_BYTES, VEHICLE_FRAME_BUDGET, KinematicSummary, Reason, Rejected
-from vehicle_client.shell.conversation import Clock, SpedUpClock, converse, send_all, sleep_until
+from vehicle_client.shell.conversation import Clock, SpedUpClock, converse, report, send_all, sleep_until
 from vehicle_client.shell.exchange import Ending, Exchange, ExchangeRecord, FrameCodec, Patience, Stage
 from vehicle_client.shell.fleet_events import (
     FleetReady,
@@ -318,11 +318,7 @@ class _Fleet:
             return None
         left_at_s = entered_at_s + made.left_at_s - float(drive.trace.time_s[0])
         record = exchange.record()
-        frames = exchange.report(
-            made.summary, map_version=section.version, left_at_s=left_at_s, now_s=self._clock.now_s()
-        )
-        await send_all(frames, uplink)
-        await converse(exchange, uplink, self._clock)
+        await report(exchange, uplink, self._clock, made.summary, map_version=section.version, left_at_s=left_at_s)
         return SpooledSummary(
             passage_id=record.passage_id,
             section_id=section.section_id,
@@ -352,14 +348,14 @@ class _Fleet:
                 frames_spent_count=entry.frames_spent_count,
             )
             async with self._uplink() as uplink:
-                frames = exchange.report(
+                await report(
+                    exchange,
+                    uplink,
+                    self._clock,
                     entry.summary,
                     map_version=entry.map_version,
                     left_at_s=entry.left_at_s,
-                    now_s=self._clock.now_s(),
                 )
-                await send_all(frames, uplink)
-                await converse(exchange, uplink, self._clock)
                 record = exchange.record()
             if not record.may_spool:
                 self._spool.drop(entry.passage_id)

@@ -17,7 +17,7 @@ from roadgrip.units import mps_to_kph
 from vehicle_client.estimation.vehicle_geometry import XC90, VehicleGeometry
 from vehicle_client.mapmatch.dead_reckoning import DrivenLine, driven_line
 from vehicle_client.pipeline import Summarised, summarise_passage
-from vehicle_client.shell.conversation import SpedUpClock, arrive, converse, send_all
+from vehicle_client.shell.conversation import SpedUpClock, arrive, report
 from vehicle_client.shell.exchange import Ending, Exchange, ExchangeRecord, Stage
 from vehicle_client.shell.fleet_events import flag_names
 from vehicle_client.shell.sources import (
@@ -156,15 +156,8 @@ async def send_recorded(replay: Replay, section: RoadSection, address: UnitAddre
     async with uplink_to(address) as uplink:
         await arrive(exchange, uplink, clock)
         if exchange.stage is not Stage.ENDED:
-            now_s = clock.now_s()
-            frames = exchange.report(
-                replay.made.summary,
-                map_version=section.version,
-                left_at_s=now_s - (replay.ended_s - replay.made.left_at_s),
-                now_s=now_s,
-            )
-            await send_all(frames, uplink)
-            await converse(exchange, uplink, clock)
+            left_at_s = clock.now_s() - (replay.ended_s - replay.made.left_at_s)
+            await report(exchange, uplink, clock, replay.made.summary, map_version=section.version, left_at_s=left_at_s)
     return replace(replay, record=exchange.record())
 
 

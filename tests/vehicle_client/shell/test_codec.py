@@ -15,6 +15,7 @@ from roadgrip.wire import encode_message, kind_of
 from tests.vehicle_client.shell.air import ADVICE, BEND, PASSAGE_ID, SUMMARY
 from vehicle_client.shell.codec import WireCodec
 from vehicle_client.shell.exchange import Ending, Exchange
+from vehicle_client.shell.keys import Keys
 
 
 def a_codec() -> WireCodec:
@@ -41,7 +42,7 @@ def test_an_announcement_is_one_frame_that_the_unit_reads():
     assert as_unit(a_codec().frames_of(arrival)) == arrival
 
 
-def test_a_map_of_several_frames_comes_together_in_any_order():
+def a_large_map() -> MapOffer:
     along_m = np.arange(400) * 5.0
     road = build_section(
         section_id="bend",
@@ -49,12 +50,26 @@ def test_a_map_of_several_frames_comes_together_in_any_order():
         nodes_m=np.column_stack([along_m, 50.0 * np.sin(along_m / 90.0), 3.0 * np.sin(along_m / 70.0)]),
         speed_limit_mps=20.0,
     )
+    return MapOffer(road, (TABLE_DIGEST,))
+
+
+def test_a_map_of_several_frames_comes_together_in_any_order():
     codec = a_codec()
-    frames = from_unit(MapOffer(road, (TABLE_DIGEST,)))
+    frames = from_unit(a_large_map())
     assert len(frames) > 1
     answers = [codec.message_of(frame, now_s=0.0) for frame in reversed(frames)]
     assert answers[:-1] == [None] * (len(frames) - 1)
-    assert answers[-1] == MapOffer(road, (TABLE_DIGEST,))
+    assert answers[-1] == a_large_map()
+
+
+@pytest.mark.parametrize(("speedup_ratio", "whole"), [(1.0, False), (60.0, True)])
+def test_the_pieces_of_a_map_have_their_time_on_the_wall(speedup_ratio: float, whole: bool):
+    codec = Keys().codecs_for("bend", speedup_ratio=speedup_ratio)(PASSAGE_ID)
+    first, *others = from_unit(a_large_map())
+    codec.message_of(first, now_s=0.0)
+    # Four minutes of a clock sixty times as fast are four seconds.
+    answers = [codec.message_of(frame, now_s=240.0) for frame in others]
+    assert (answers[-1] is not None) is whole
 
 
 def test_frames_of_another_exchange_are_passed_over():

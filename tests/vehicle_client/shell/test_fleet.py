@@ -3,6 +3,7 @@ from __future__ import annotations
 import asyncio
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -24,13 +25,14 @@ from roadgrip.section import RoadSection
 from tests.vehicle_client.shell.air import BEND, SUMMARY, Ether, TokenCodec, Unit, bend
 from tests.vehicle_client.shell.cars import Summarised, WireToUnit, a_drive
 from vehicle_client.estimation.trace import Trace
-from vehicle_client.shell.exchange import Ending, Patience
+from vehicle_client.shell.exchange import Ending, Exchange, Patience
 from vehicle_client.shell.fleet import (
     FleetPlan,
     FleetTools,
     FrictionChange,
     draw_visits,
     parse_friction_change,
+    patience_at,
     run_fleet,
     simulator,
 )
@@ -42,13 +44,15 @@ from vehicle_client.shell.fleet_events import (
     VehicleAdvised,
     VehicleEntered,
 )
-from vehicle_client.shell.uplink import AirFaults, Uplink
+from vehicle_client.shell.uplink import AirCounts, AirFaults, Uplink
 from vehicle_client.simulator.drive import Drive, DriveOutcome
 from vehicle_client.simulator.plan import PassagePlan, SensorGrade
 
 FAST = 2000.0
 BRISK = Patience(reply_s=60.0, longest_s=120.0, postpone_s=60.0)
 """30 ms on the wall for an answer that comes in the same process."""
+
+A_RECORD = Exchange(passage_id=bytes(16), section_id="bend", codec=TokenCodec(Ether())).record()
 
 
 def a_plan(vehicles_count: int = 10, *, faults: AirFaults | None = None) -> FleetPlan:
@@ -134,10 +138,34 @@ def test_an_age_is_what_the_fleets_clock_says(tmp_path: Path):
     assert all(2.0 <= age_s < 3600.0 for age_s in ages)
 
 
+def test_an_age_counts_from_the_end_of_the_section_whatever_the_trace_calls_its_start(tmp_path: Path):
+    def recorded_later(section: RoadSection, plan: PassagePlan) -> Drive:
+        drive = a_drive(section, plan)
+        return replace(drive, trace=replace(drive.trace, time_s=drive.trace.time_s + 10_000.0))
+
+    def left_long_ago(trace: Trace, _section: RoadSection) -> Summarised:
+        return Summarised(SUMMARY, left_at_s=float(trace.time_s[0]) - 20_000.0)
+
+    unit = Unit(TokenCodec(Ether()), frames_left_count=10_000)
+    play(a_plan(1), tmp_path, unit=unit, simulate=recorded_later, summarise=left_long_ago)
+    (passage,) = [m for m in unit.heard if isinstance(m, Passage)]
+    assert passage.age_s >= 20_000.0
+
+
+def test_nobody_comes_before_his_time(tmp_path: Path):
+    plan = a_plan(3)
+    _, events, _ = play(plan, tmp_path)
+    due_s = {visit.number: visit.arrives_at_s for visit in draw_visits(plan)}
+    entered_s = {e.number: e.at_s for e in events if isinstance(e, VehicleEntered)}
+    assert due_s == {0: pytest.approx(36.0), 1: pytest.approx(72.0), 2: pytest.approx(108.0)}
+    assert all(entered_s[number] >= due_s[number] for number in due_s)
+
+
 def test_lossy_air_costs_frames_but_no_passages(tmp_path: Path):
     faults = AirFaults(lost_frac=0.1, doubled_frac=0.1, delayed_frac=0.1, spoiled_frac=0.05)
-    report, _, _ = play(a_plan(20, faults=faults), tmp_path)
+    report, events, _ = play(a_plan(20, faults=faults), tmp_path)
     assert report.accepted_count == 20
+    assert len({e.air.lost_count for e in events if isinstance(e, PassageEnded)}) > 1
     assert report.air.missing_count > 0
     assert report.retries_count > 0
     assert report.recovered_count == report.air.missing_count
@@ -145,13 +173,39 @@ def test_lossy_air_costs_frames_but_no_passages(tmp_path: Path):
 
 
 def test_a_unit_that_was_away_gets_its_passages_from_the_spool(tmp_path: Path):
-    report, events, _ = play(a_plan(2), tmp_path, lost=lambda number: (Passage,) if number < 4 else ())
+    report, events, links = play(a_plan(2), tmp_path, lost=lambda number: (Passage,) if number < 4 else ())
+    assert report.vehicles_count == report.drives["completed"] == 2
+    assert report.frames_sent_count == sum(len(link.sent) for link in links)
     assert report.spooled_count == 2
     assert report.delivered_late_count == 2
     assert report.accepted_count == 2
     assert report.waiting_count == 0
     assert [e.record.ending for e in events if isinstance(e, PassageEnded) and e.from_spool][-1] is Ending.ACCEPTED
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_summary_that_waits_is_tried_again_before_the_next_vehicle_comes(tmp_path: Path):
+    # Half an hour between two vehicles; the spool is tried every five minutes.
+    plan = replace(a_plan(2), arrivals_per_hour=2.0)
+    _, events, _ = play(plan, tmp_path, lost=lambda number: (Passage,) if number == 0 else ())
+    told = [type(e) for e in events if isinstance(e, VehicleEntered | PassageEnded)]
+    assert told == [VehicleEntered, PassageEnded, PassageEnded, VehicleEntered, PassageEnded]
+
+
+def test_tries_beyond_the_first_are_counted_as_retries():
+    ended = PassageEnded(
+        number=0,
+        at_s=0.0,
+        base_friction_mu=0.4,
+        friction_mu=0.4,
+        drive_outcome="completed",
+        record=replace(A_RECORD, arrival_tries_count=3, report_tries_count=2),
+        air=AirCounts(),
+    )
+    report = FleetReport()
+    report.add(ended)
+    report.add(replace(ended, record=replace(A_RECORD, arrival_tries_count=0, report_tries_count=0)))
+    assert report.retries_count == 2 + 1
 
 
 def test_a_unit_that_stays_away_leaves_no_map_and_no_summary(tmp_path: Path):
@@ -247,6 +301,17 @@ def test_a_simulator_that_fails_later_ends_the_fleet_too(tmp_path: Path):
 
 def test_the_same_seed_brings_the_same_vehicles():
     assert draw_visits(a_plan()) == draw_visits(a_plan())
+
+
+def test_the_latest_change_of_friction_holds_in_whatever_order_they_were_given():
+    changes = (FrictionChange(0.2, 0.75), FrictionChange(0.3, 0.25))
+    plan = replace(a_plan(8), changes=changes)
+    assert [plan.base_friction_of(number) for number in range(8)] == [0.45] * 2 + [0.3] * 4 + [0.2] * 2
+
+
+def test_vehicles_on_a_fast_clock_wait_as_long_on_the_wall_as_a_unit_needs():
+    assert patience_at(1.0) == Patience()
+    assert patience_at(100.0).reply_s / 100.0 == pytest.approx(0.15)
 
 
 def test_random_arrivals_come_at_the_rate_that_was_asked_for():
