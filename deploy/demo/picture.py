@@ -75,12 +75,11 @@ def write_page(figure: Figure, story: Story, checks: list[Check], path: Path, *,
     figure.savefig(drawn, format="svg")
     svg = drawn.getvalue()
     account, air = story.account, story.account.air
-    off_the_road = account.drives.total() - account.drives["completed"]
     counts = (
         ("vehicles", account.vehicles_count),
         ("passages acknowledged", account.accepted_count),
         ("of them counted in the window", account.counted_count),
-        ("vehicles that slid off the road and sent nothing", off_the_road),
+        ("vehicles that slid off the road and sent nothing", story.off_the_road_count),
         ("frames in the air, both directions", air.offered_count),
         ("frames lost or damaged", air.missing_count),
         ("of them recovered: the passage was acknowledged all the same", account.recovered_count),

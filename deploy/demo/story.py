@@ -11,7 +11,6 @@ from vehicle_client.shell.fleet_events import (
     FleetReady,
     FleetReport,
     PassageEnded,
-    VehicleAdvised,
     VehicleEntered,
 )
 
@@ -104,7 +103,6 @@ class Story:
         vehicles: Who came, by number.
         estimates: What the unit stored, by passage.
         readings: What the unit published, in order.
-        advised_speed_mps: What the last vehicle was told on its arrival.
         account: The fleet's account so far.
         unit_frames_counts: Frames that the unit sent to each vehicle, by number, as the air saw them.
     """
@@ -116,7 +114,6 @@ class Story:
     vehicles: dict[int, Vehicle] = field(default_factory=dict)
     estimates: dict[bytes, Estimate] = field(default_factory=dict)
     readings: list[Reading] = field(default_factory=list)
-    advised_speed_mps: float | None = None
     account: FleetReport = field(default_factory=FleetReport)
     unit_frames_counts: Counter[int] = field(default_factory=Counter)
 
@@ -127,8 +124,6 @@ class Story:
                 self.started = True
             case VehicleEntered(number, at_s, base_mu, mu):
                 self.vehicles[number] = Vehicle(number, at_s, base_mu, mu)
-            case VehicleAdvised(advisory=advisory):
-                self.advised_speed_mps = None if advisory is None else advisory.speed_mps
             case PassageEnded():
                 self.account.add(event)
                 # The air saw the frames of both; what the vehicle did not send came from the unit.
@@ -157,6 +152,11 @@ class Story:
     def on_the_road_count(self) -> int:
         """Vehicles that are on their way."""
         return sum(not v.ended for v in self.vehicles.values())
+
+    @property
+    def off_the_road_count(self) -> int:
+        """Vehicles that slid off the road."""
+        return self.account.drives.total() - self.account.drives["completed"]
 
     @property
     def changed_at_s(self) -> float | None:

@@ -168,13 +168,12 @@ def _advice(story: Story) -> Text:
 
 def _traffic(story: Story) -> Table:
     account, air = story.account, story.account.air
-    off_the_road = account.drives.total() - account.drives["completed"]
     table = Table.grid(padding=(0, 1))
     for name, value in (
         ("road now (new tyre)", f"{story.base_friction_mu:.2f}"),
         ("on their way", f"{story.on_the_road_count}"),
         ("acknowledged", f"{account.accepted_count} ({account.counted_count} counted)"),
-        ("slid off the road", f"{off_the_road}"),
+        ("slid off the road", f"{story.off_the_road_count}"),
         ("frames in the air", f"{air.offered_count}"),
         ("lost or damaged", f"{air.missing_count} ({account.recovered_count} recovered)"),
         ("doubled, late", f"{air.doubled_count}, {air.delayed_count}"),

@@ -17,6 +17,7 @@ from training.regressor import (
     mape_ratio,
     mape_ratio_on_unseen_roads,
     relative_rms_ratio,
+    split_rows,
 )
 
 QUICK = FitParameters(trees_count=60)
@@ -42,6 +43,12 @@ def test_rows_for_judging_are_not_learned_from_and_failed_runs_are_in_neither() 
     train, test = set(fitted.train_rows.tolist()), set(fitted.test_rows.tolist())
     assert not train & test
     assert train | test == set(np.flatnonzero(runs.usable).tolist())
+
+
+def test_another_seed_judges_on_other_rows() -> None:
+    runs = made_up_runs(500)
+    (_, one), (_, other) = split_rows(runs, seed=1), split_rows(runs, seed=2)
+    assert set(one.tolist()) != set(other.tolist())
 
 
 def test_the_order_of_the_rows_does_not_change_the_trees() -> None:
@@ -78,6 +85,15 @@ def test_an_export_of_other_trees_does_not_pass_the_gate() -> None:
     rows = parity_rows(runs.features[fitted.train_rows], rng=np.random.default_rng(1))
     with pytest.raises(BundleError, match="differs from the trained one"):
         check_parity(fitted.booster, to_onnx(other.booster), rows)
+
+
+def test_an_export_that_answers_with_no_number_does_not_pass_the_gate(monkeypatch: pytest.MonkeyPatch) -> None:
+    runs = made_up_runs(1500)
+    fitted = fit(runs, QUICK)
+    rows = parity_rows(runs.features[fitted.train_rows], rng=np.random.default_rng(1))
+    monkeypatch.setattr("training.export.onnx_estimate_mu", lambda _model, rows: np.full(len(rows), np.nan))
+    with pytest.raises(BundleError, match="differs from the trained one"):
+        check_parity(fitted.booster, b"", rows)
 
 
 def test_parity_on_a_handful_of_rows_is_refused() -> None:

@@ -60,13 +60,11 @@ class SpoolCounts:
     """What happened to summaries since the spool was opened.
 
     Attributes:
-        kept_count: Summaries written.
         overflowed_count: Oldest ones dropped because the spool was full.
         age_unknown_count: Dropped because the clock that knew their age is gone.
         unreadable_count: Files dropped because they hold no summary.
     """
 
-    kept_count: int = 0
     overflowed_count: int = 0
     age_unknown_count: int = 0
     unreadable_count: int = 0
@@ -138,7 +136,6 @@ class Spool:
             raise SpoolError(f"cannot keep a summary in {self._folder}: {error.strerror}") from error
         self._next = max(self._next, number + 1)
         self._entries[number] = entry
-        self.counts.kept_count += 1
         self._make_room()
 
     def drop(self, passage_id: bytes) -> None:
