@@ -251,9 +251,8 @@ def check_settings(settings: Settings) -> list[str]:
         f"section {s.section_id}: {s.length_m:.0f} m, map {s.version}, bank {s.bank_origin.value}" for s in sections
     ]
     manifest = load_model(settings).manifest
-    lines.append(
-        f"bundle {manifest.bundle_id}: {manifest.name}, friction {manifest.mu_range[0]:.2f} to {manifest.mu_range[1]:.2f}"
-    )
+    low_mu, high_mu = manifest.mu_range
+    lines.append(f"bundle {manifest.bundle_id}: {manifest.name}, friction {low_mu:.2f} to {high_mu:.2f}")
     lines.append("signs as " + signer.key_id.hex() if signer else "signs nothing")
     if verifier is None:
         lines.append("checks no signatures")

@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 from roadgrip.errors import SectionError
+from roadgrip.protocol import HEADER_BYTES
 from roadgrip.section import BANK_CAP_RATIO, Direction, RoadSection
 from roadgrip.section_file import section_to_json
 from roadgrip.sections import packaged_names, read_section
@@ -255,7 +256,7 @@ def _on_the_air(figures: dict[str, Any]) -> str:
     frames = figures["map_message_frames_count"]
     if frames is None:
         return "cannot be sent: cut the section"
-    return f"{figures['map_message_bytes']} bytes, {frames} frame(s)"
+    return f"{figures['map_message_bytes'] + frames * HEADER_BYTES} bytes in {frames} frame(s)"
 
 
 def _fit_figures(report: FitReport) -> dict[str, Any]:

@@ -83,7 +83,11 @@ def _root(
 
 DesignName = Annotated[
     str,
-    typer.Option("--design", help="paper-roads: the paper's three roads. mixed: those and random ones, fewer each."),
+    typer.Option(
+        "--design",
+        metavar="paper-roads|mixed",
+        help="paper-roads: the paper's three roads. mixed: those and random ones, fewer each.",
+    ),
 ]
 Grade = Annotated[
     SensorGrade, typer.Option("--sensors", help="ideal: the paper's setting. automotive: what a car has.")
@@ -212,7 +216,9 @@ def bundle(
 @app.command()
 def default_bundle(
     *,
-    out: Annotated[Path, typer.Option("--out", help="Folder for the bundle.")] = DEFAULT_BUNDLE_FOLDER,
+    out: Annotated[
+        Path, typer.Option("--out", help="Folder for the bundle.", show_default="the packaged bundle's")
+    ] = DEFAULT_BUNDLE_FOLDER,
     work: Annotated[Path, typer.Option("--work", help="Folder for the runs; goes on where it was.")] = Path(
         "build/default-bundle"
     ),
@@ -250,6 +256,9 @@ def main() -> None:
         app()
     except RoadgripError as error:
         console.print(f"[red]error:[/red] {error}", highlight=False)
+        raise SystemExit(2) from error
+    except OSError as error:  # a file or folder that was named and cannot be used
+        console.print(f"[red]error:[/red] cannot use {error.filename}: {error.strerror}", highlight=False)
         raise SystemExit(2) from error
 
 

@@ -8,6 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 from roadgrip.errors import SectionError
+from roadgrip.protocol import HEADER_BYTES
 from roadgrip.section_file import section_from_json
 from roadgrip.sections import packaged_names, read_section
 from rsu_app.section_cli import section_app
@@ -115,7 +116,9 @@ def test_show_tells_people_and_machines_the_same():
     machine = json.loads(_run("show", "sharp-turn", "--json").stdout)
     assert machine["tightest_radius_m"] == pytest.approx(20.0, rel=0.03)
     assert machine["version"] in people
-    assert f"{machine['map_message_bytes']} bytes" in people
+    # People are told what flies, headers included; a machine gets the message alone.
+    assert machine["map_message_frames_count"] == 1
+    assert f"{machine['map_message_bytes'] + HEADER_BYTES} bytes in 1 frame" in people
     assert machine["curves"][0]["direction"] == "right"
     assert "right" in people
 

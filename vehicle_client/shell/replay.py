@@ -161,16 +161,23 @@ async def send_recorded(replay: Replay, section: RoadSection, address: UnitAddre
     return replace(replay, record=exchange.record())
 
 
+def refusal_text(refusal: Rejected) -> str:
+    """Return a reason and what goes with it, for a person."""
+    return f"{refusal.reason.value}: {refusal.detail}".rstrip(": ")
+
+
 def receipt_text(record: ExchangeRecord) -> str:
     """Return what the unit said about a passage, for a person."""
     outcome = record.outcome
     if isinstance(outcome, Rejected):
-        return f"{record.ending.value}: {outcome.reason.value} {outcome.detail}".strip()
+        return f"{record.ending.value}: {refusal_text(outcome)}"
     if isinstance(outcome, Accepted):
         if outcome.counted:
             return "accepted and counted"
         return f"accepted, not counted: {', '.join(flag_names(outcome.flags))}"
-    return f"{record.ending.value}: no receipt after {record.report_tries_count} tries"
+    tries = f"no receipt after {record.report_tries_count} tries"
+    hint = "" if record.frames_received_count else "; nothing came back at all, is a unit running there?"
+    return f"{record.ending.value}: {tries}{hint}"
 
 
 def replay_to_json(replay: Replay) -> dict[str, Any]:
@@ -199,7 +206,7 @@ def replay_table(replay: Replay) -> Table:
     table = Table("what", "value", title="The recording", title_justify="left", show_header=False)
     made, record = replay.made, replay.record
     if isinstance(made, Rejected):
-        table.add_row("no passage", f"{made.reason.value} {made.detail}".strip())
+        table.add_row("no passage", refusal_text(made))
         return table
     match = made.match
     table.add_row(

@@ -6,7 +6,7 @@ import secrets
 from typing import TYPE_CHECKING
 
 from roadgrip.errors import ConfigurationError
-from roadgrip.records import PASSAGE_ID_BYTES
+from roadgrip.records import PASSAGE_ID_BYTES, Rejected
 from vehicle_client.shell.conversation import SpedUpClock, arrive
 from vehicle_client.shell.exchange import Exchange, Patience
 
@@ -40,6 +40,8 @@ async def ask_for_section(
     await arrive(exchange, uplink, SpedUpClock())
     if exchange.section is None:
         outcome = exchange.record().outcome
-        answer = "it did not answer" if outcome is None else f"it answered {outcome}"
+        answer = "it did not answer; is it running there?"
+        if isinstance(outcome, Rejected):
+            answer = f"{outcome.reason.value}: {outcome.detail}".rstrip(": ")
         raise ConfigurationError(f"the unit sent no map of {section_id!r}: {answer}")
     return exchange.section

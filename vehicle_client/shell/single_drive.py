@@ -15,7 +15,7 @@ from vehicle_client.estimation.vehicle_geometry import XC90
 from vehicle_client.estimation.yaw_rate import yaw_rate_excess_radps
 from vehicle_client.pipeline import Summarised, summarise_passage
 from vehicle_client.shell.fleet import simulator
-from vehicle_client.shell.replay import made_to_json
+from vehicle_client.shell.replay import made_to_json, refusal_text
 from vehicle_client.shell.sources import write_trace_csv
 from vehicle_client.simulator.plan import SensorGrade, draw_plan
 
@@ -94,7 +94,7 @@ def single_drive_table(driven: SingleDrive, section: RoadSection) -> Table:
     table.add_row("sideslip at most", f"{np.rad2deg(drive.peak_sideslip_rad):.1f} degrees")
     error_rad = sideslip_error_rad(driven)
     if isinstance(made, Rejected) or error_rad is None:
-        table.add_row("summary", f"none: {made.reason.value} {made.detail}" if isinstance(made, Rejected) else "none")
+        table.add_row("summary", f"none: {refusal_text(made)}" if isinstance(made, Rejected) else "none")
     else:
         table.add_row("error of the estimated sideslip", f"{np.rad2deg(error_rad):.2f} degrees RMS")
         table.add_row("found by", f"{made.match.method.value}, confidence {made.match.confidence_frac:.2f}")

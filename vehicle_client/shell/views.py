@@ -104,7 +104,8 @@ def fleet_report_table(report: FleetReport) -> Table:
         if counts:
             table.add_row(name, str(counts.total()), _listed(counts))
     if report.no_map_count:
-        table.add_row("never got the map", str(report.no_map_count), "")
+        hint = "" if report.accepted_count else "does a unit run there, and does it serve this section?"
+        table.add_row("never got the map", str(report.no_map_count), hint)
     if report.spooled_count:
         table.add_row(
             "had to wait in the spool",

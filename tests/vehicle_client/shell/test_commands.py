@@ -46,7 +46,7 @@ def test_the_version_is_said():
         (["fleet", "--signing-key", "no-such.pem"], "no-such.pem"),
         (["fleet", "--trusted-key", "no-such.pem"], "no-such.pem"),
         (["replay", "no-such.csv", "--dry-run"], "no-such.csv"),
-        (["fleet", "--section", "rsu:long-turn", "--rsu", "udp://127.0.0.1:9"], "did not answer"),
+        (["fleet", "--section", "rsu:long-turn", "--rsu", "udp://127.0.0.1:9"], "did not answer; is it running there?"),
     ],
 )
 def test_what_cannot_be_is_one_line_and_exit_code_2(
@@ -145,3 +145,13 @@ def test_a_recording_is_acknowledged_by_a_real_unit(unit: dict[str, str], tmp_pa
     # The same numbers under another passage id: somebody replays what he heard.
     assert code == 1
     assert "replayed" in out
+
+
+@pytest.mark.system
+def test_a_section_that_a_unit_does_not_serve_is_said_with_those_it_does(
+    unit: dict[str, str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    monkeypatch.setattr(sys, "argv", ["roadgrip-vehicle", "drive", "-s", "rsu:sharp-turn", "--rsu", unit["udp"]])
+    with pytest.raises(SystemExit):
+        main()
+    assert "no map of 'sharp-turn': unknown_section: 'sharp-turn' is none of s-turn" in capsys.readouterr().err
