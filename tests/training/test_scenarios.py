@@ -13,7 +13,6 @@ from roadgrip.sections import read_section
 from training.random_roads import LENGTH_RANGE_M, RADIUS_RANGE_M, random_section
 from training.scenarios import (
     BASE_FRICTIONS_MU,
-    WITH_GNSS_FRAC,
     Design,
     mixed_design,
     paper_roads_design,
@@ -81,7 +80,7 @@ def test_runs_are_planned_as_the_design_says(s_turn: RoadSection) -> None:
     assert {plan.driver.friction_guess_mu for plan in plans} == {inf}  # a reacting driver guesses nothing
     assert {plan.sensor_grade for plan in plans} == {SensorGrade.IDEAL}
     # 275 vehicles, three quarters of them with position fixes: within four standard deviations.
-    assert sum(plan.with_gnss for plan in plans) / len(plans) == pytest.approx(WITH_GNSS_FRAC, abs=0.11)
+    assert sum(plan.with_gnss for plan in plans) / len(plans) == pytest.approx(0.75, abs=0.11)
 
 
 def test_random_roads_stay_within_the_papers_range_of_risk() -> None:
