@@ -24,7 +24,7 @@ from tests.vehicle_client.synthetic import (
 )
 from vehicle_client.estimation.observer import PAPER_PARAMETERS
 from vehicle_client.estimation.offsets import NO_OFFSETS
-from vehicle_client.estimation.trace import Trace, mirrored
+from vehicle_client.estimation.trace import Trace, mirrored, part_of
 from vehicle_client.estimation.vehicle_geometry import XC90
 from vehicle_client.mapmatch.match import MatchMethod
 from vehicle_client.pipeline import Summarised, kinematic_signals, summarise_passage
@@ -287,18 +287,8 @@ def test_the_mirrored_road_is_the_wrong_one():
 
 
 def test_a_drive_that_ends_on_the_way_is_aborted():
-    keep = STATION < 300.0
-    trace = replace(
-        TRACE,
-        time_s=TRACE.time_s[keep],
-        accel_x_mps2=TRACE.accel_x_mps2[keep],
-        accel_y_mps2=TRACE.accel_y_mps2[keep],
-        roll_rate_radps=TRACE.roll_rate_radps[keep],
-        yaw_rate_radps=TRACE.yaw_rate_radps[keep],
-        steer_rad=TRACE.steer_rad[keep],
-        wheel_speed_mps=TRACE.wheel_speed_mps[keep],
-        valid=TRACE.valid[keep],
-    )
+    driven_s = TRACE.time_s[STATION < 300.0] - TRACE.time_s[0]
+    trace = part_of(TRACE, from_s=0.0, to_s=float(driven_s[-1]))
     assert refused(summarise_passage(trace, SECTION)) is Reason.PASSAGE_ABORTED
 
 
