@@ -52,6 +52,8 @@ class Truth:
         friction_mu: Friction the four tyres find (surface times wear), weighted by their loads.
         utilisation_ratio: Share of the grip in use: the greater over the two axles of resultant tyre force over
             friction times load.
+        abs_active: Where anti-lock braking releases a wheel.
+        tcs_active: Where traction control cuts torque.
         esc_active: Where yaw control brakes a wheel or cuts torque.
     """
 
@@ -75,6 +77,8 @@ class Truth:
     wheel_force_y_n: FloatArray
     friction_mu: FloatArray
     utilisation_ratio: FloatArray
+    abs_active: BoolArray
+    tcs_active: BoolArray
     esc_active: BoolArray
 
 
@@ -90,7 +94,9 @@ class Drive:
         label_mu: Lowest 10 m moving mean of the load-weighted friction under the tyres inside the section, as far as
             it was driven; on an even road base friction times wear.
         lowest_mu: Lowest single sample of it.
-        esc_active_frac: Share of the samples inside the section with yaw control active.
+        abs_active_frac: Share of the samples inside the section with anti-lock braking active.
+        tcs_active_frac: The same of traction control.
+        esc_active_frac: The same of yaw control.
         peak_utilisation_ratio: Largest share of the grip in use inside the section, as 0.1 s means.
         peak_sideslip_rad: Largest magnitude of the sideslip inside the section.
     """
@@ -101,6 +107,8 @@ class Drive:
     truth: Truth
     label_mu: float
     lowest_mu: float
+    abs_active_frac: float
+    tcs_active_frac: float
     esc_active_frac: float
     peak_utilisation_ratio: float
     peak_sideslip_rad: float

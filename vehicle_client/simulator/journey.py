@@ -50,7 +50,7 @@ from vehicle_client.simulator.driver import (
     understeer_gradient_s2pm,
 )
 from vehicle_client.simulator.plan import Driver
-from vehicle_client.simulator.stability import AIDS_SIZE, SLIP_CONTROL, YAW_CONTROL, intervene, switch_on
+from vehicle_client.simulator.stability import ABS_ACTIVE, AIDS_SIZE, ESC_ACTIVE, TCS_ACTIVE, intervene, switch_on
 from vehicle_client.simulator.surface import GRID_M
 from vehicle_client.simulator.track import LEFT_MU
 from vehicle_client.simulator.vehicle import Vehicle
@@ -70,9 +70,9 @@ STEP_S = 0.002
 
 # Columns of the log: the body first, as in `chassis`.
 LOG_ROLL_RATE_ROAD, LOG_BANK, LOG_GRADE, LOG_NORMAL, LOG_SHAKE_ROLL, LOG_SHAKE_RATE = 14, 15, 16, 17, 18, 19
-LOG_YAW_CONTROL, LOG_SLIP_CONTROL, LOG_GUESS, LOG_SLIDE = 20, 21, 22, 23
-LOG_SPIN, LOG_LOAD, LOG_FORCE_X, LOG_FORCE_Y, LOG_FRICTION = 24, 28, 32, 36, 40
-LOG_SIZE = 44
+LOG_ABS, LOG_TCS, LOG_ESC, LOG_GUESS, LOG_SLIDE = 20, 21, 22, 23, 24
+LOG_SPIN, LOG_LOAD, LOG_FORCE_X, LOG_FORCE_Y, LOG_FRICTION = 25, 29, 33, 37, 41
+LOG_SIZE = 45
 
 
 class Errand(NamedTuple):
@@ -84,7 +84,12 @@ class Errand(NamedTuple):
         approach_m: The drive starts at the negative of this station.
         finish_m: Station where the drive is complete.
         target_mps: Speed the driver likes.
-        stability_share: 1 with stability systems, 0 without.
+        brake_from_m: Station where he is ordered to brake; infinite if he is not.
+        brake_mps2: Deceleration that the order asks for.
+        brake_until_mps: Speed at which the order is fulfilled, and the one he likes from there on.
+        abs_on: 1 with anti-lock braking, 0 without.
+        tcs_on: 1 with traction control, 0 without.
+        esc_on: 1 with yaw control, 0 without.
         step_s: Time step.
     """
 
@@ -93,7 +98,12 @@ class Errand(NamedTuple):
     approach_m: float
     finish_m: float
     target_mps: float
-    stability_share: float
+    brake_from_m: float
+    brake_mps2: float
+    brake_until_mps: float
+    abs_on: float
+    tcs_on: float
+    esc_on: float
     step_s: float
 
 
@@ -205,8 +215,9 @@ def _write_log(
     row[LOG_SHAKE_RATE] = (
         wheels[0, SPRUNG_V] + wheels[2, SPRUNG_V] - wheels[1, SPRUNG_V] - wheels[3, SPRUNG_V]
     ) / track
-    row[LOG_YAW_CONTROL] = aids[YAW_CONTROL]
-    row[LOG_SLIP_CONTROL] = aids[SLIP_CONTROL]
+    row[LOG_ABS] = aids[ABS_ACTIVE]
+    row[LOG_TCS] = aids[TCS_ACTIVE]
+    row[LOG_ESC] = aids[ESC_ACTIVE]
     row[LOG_GUESS] = mind[GUESS_MU]
     row[LOG_SLIDE] = mind[FELT_SLIDE]
 
@@ -258,16 +269,20 @@ def _drive(
         wheels[i, SPRUNG_Z + 2] = wheels[i, ROAD_Z]
     set_loads(body, wheels, road, vehicle)
     asked = 0.0
+    target_mps = errand.target_mps
 
     for k in range(len(log)):
         feel(mind, body, wheels, driver, SAMPLE_S)
-        choose_pedals(mind, body, lines, errand.start_m, errand.step_m, errand.target_mps, driver, SAMPLE_S)
+        choose_pedals(mind, body, lines, errand.start_m, errand.step_m, target_mps, driver, SAMPLE_S)
+        if body[STATION] >= errand.brake_from_m and target_mps != errand.brake_until_mps:
+            mind[ACCEL_WISH] = -errand.brake_mps2
+            if body[VELOCITY_X] <= errand.brake_until_mps:
+                target_mps = errand.brake_until_mps
         front_mu = 0.5 * (wheels[0, FRICTION] + wheels[1, FRICTION])
         choose_steering(mind, body, lines, errand.start_m, errand.step_m, front_mu, gradient, vehicle, driver)
         asked += (mind[ACCEL_WISH] - asked) * (1.0 - math.exp(-SAMPLE_S / vehicle.brake_lag_s))
         set_torques(wheels, body, road, asked, vehicle)
-        if errand.stability_share > 0.0:
-            intervene(aids, body, wheels, gradient, vehicle, SAMPLE_S)
+        intervene(aids, body, wheels, gradient, errand.abs_on, errand.tcs_on, errand.esc_on, vehicle, SAMPLE_S)
         _write_log(log[k], body, wheels, road, aids, mind, vehicle)
         ending = _ending(body, errand.finish_m)
         if ending >= 0:

@@ -19,6 +19,10 @@ GUESS_SIGMA_RATIO = 0.35
 """Spread of a prudent driver's visual guess of the surface: standard deviation of its logarithm, one draw per run."""
 WEAR_RANGE = (0.8, 1.0)
 """Factor of tyre wear and pressure on friction (the paper, section "Intervals of friction conditions")."""
+REFERENCE_PRESSURE_BAR = 2.5
+"""Tyre pressure at which friction is what wear leaves of the road's."""
+_FRICTION_PER_BAR_RATIO = 0.08 / 0.5
+"""A drop from 2.5 to 2.0 bar raises friction by about eight per cent (the paper, after Braghin et al., 2006)."""
 SPEED_SPREAD_RATIO = 0.2
 """Half width of the triangular distribution of speeds around the rated one (the paper)."""
 
@@ -39,6 +43,48 @@ class DriverKind(StrEnum):
     """Has a visual guess of the surface, right within a third, and feels when it was too high."""
     REACTING = "reacting"
     """Judges the surface by what he feels alone."""
+
+
+class RoughnessClass(StrEnum):
+    """How uneven the road is: the classes of ISO 8608, from very good asphalt (A) on."""
+
+    A = "a"
+    B = "b"
+    C = "c"
+    D = "d"
+    E = "e"
+
+
+class StabilitySystems(NamedTuple):
+    """Which of the car's stability systems work.
+
+    Attributes:
+        abs_on: Anti-lock braking.
+        tcs_on: Traction control: less drive torque while driven wheels spin.
+        esc_on: Yaw control: brakes single wheels and cuts torque against over- and understeer.
+    """
+
+    abs_on: bool = True
+    tcs_on: bool = True
+    esc_on: bool = True
+
+
+ALL_SYSTEMS = StabilitySystems()
+NO_SYSTEMS = StabilitySystems(abs_on=False, tcs_on=False, esc_on=False)
+
+
+class Braking(NamedTuple):
+    """An order to brake on a given stretch, for tests of brakes and of the observer's straight case.
+
+    Attributes:
+        station_m: Where the pedal goes down.
+        decel_mps2: What the pedal asks for; more than the road gives is a full braking on the limit.
+        end_speed_mps: Speed at which the order is fulfilled; the drive goes on with it.
+    """
+
+    station_m: float
+    decel_mps2: float
+    end_speed_mps: float
 
 
 class Driver(NamedTuple):
@@ -95,7 +141,8 @@ class PassagePlan:
     Attributes:
         base_friction_mu: What the road offers a new tyre, on approach and exit too.
         seed: Of everything random in the drive: surface profile, sensor errors, noise.
-        wear_factor: Tyre wear and pressure, multiplies friction; 0.8 to 1.
+        wear_factor: Tyre wear, multiplies friction; 0.8 to 1. The paper's designs put tyre pressure into it, too.
+        pressure_bar: Of the tyres, where it is studied apart from wear.
         target_speed_mps: Speed the driver likes where nothing holds him back; the rated speed if None.
         driver: The driver.
         friction_profile: Friction that varies along the section; replaces the base friction.
@@ -103,8 +150,9 @@ class PassagePlan:
         with_gnss: Whether the trace holds position fixes; needs a section with anchors.
         approach_m: Length driven before the section starts; straight, but for an easing into a curve cut by the map.
         exit_m: Length driven beyond its end.
-        stability_on: Whether ABS, traction control and ESC work.
-        rough_surface: Whether the road has the roughness of class A; otherwise it is a plane.
+        braking: A full stop or a slowing down on order.
+        stability: Which of ABS, traction control and ESC work.
+        roughness: How uneven the road is; a plane if None.
         vehicle: The car.
     """
 
@@ -118,9 +166,16 @@ class PassagePlan:
     with_gnss: bool = False
     approach_m: float = 70.0
     exit_m: float = 70.0
-    stability_on: bool = True
-    rough_surface: bool = True
+    braking: Braking | None = None
+    stability: StabilitySystems = ALL_SYSTEMS
+    roughness: RoughnessClass | None = RoughnessClass.A
+    pressure_bar: float = REFERENCE_PRESSURE_BAR
     vehicle: Vehicle = XC90
+
+    @property
+    def tyre_factor(self) -> float:
+        """What wear and pressure leave of the road's friction."""
+        return self.wear_factor * (1.0 + _FRICTION_PER_BAR_RATIO * (REFERENCE_PRESSURE_BAR - self.pressure_bar))
 
 
 def draw_driver(rng: np.random.Generator, *, base_friction_mu: float, kind: DriverKind = DriverKind.PRUDENT) -> Driver:

@@ -21,16 +21,21 @@ from roadgrip.units import SAMPLE_S, FloatArray
 from vehicle_client.simulator import chassis, journey
 from vehicle_client.simulator.drive import Drive, DriveOutcome, Truth
 from vehicle_client.simulator.plan import (
+    ALL_SYSTEMS,
+    NO_SYSTEMS,
+    Braking,
     Driver,
     DriverKind,
     FrictionProfile,
     PassagePlan,
+    RoughnessClass,
     SensorGrade,
+    StabilitySystems,
     draw_driver,
     draw_plan,
 )
 from vehicle_client.simulator.sensors import SENSORS, Motion, gnss_track, trace_of
-from vehicle_client.simulator.surface import roughness_m
+from vehicle_client.simulator.surface import class_density_m3, roughness_m
 from vehicle_client.simulator.track import Track, track_of
 from vehicle_client.simulator.vehicle import Vehicle
 
@@ -41,13 +46,18 @@ if TYPE_CHECKING:
     from roadgrip.units import BoolArray
 
 __all__ = [
+    "ALL_SYSTEMS",
+    "NO_SYSTEMS",
+    "Braking",
     "Drive",
     "DriveOutcome",
     "Driver",
     "DriverKind",
     "FrictionProfile",
     "PassagePlan",
+    "RoughnessClass",
     "SensorGrade",
+    "StabilitySystems",
     "Truth",
     "compiled_cache_key",
     "draw_driver",
@@ -86,8 +96,10 @@ def simulate_passage(section: RoadSection, plan: PassagePlan, *, step_s: float =
     surface_rng, sensor_rng, gnss_rng = (np.random.default_rng(s) for s in np.random.SeedSequence(plan.seed).spawn(3))
     track = track_of(section, plan)
     rough = np.empty((0, 2))
-    if plan.rough_surface:
-        rough = roughness_m(surface_rng, length_m=track.step_m * len(track.x_m))
+    if plan.roughness is not None:
+        rough = roughness_m(
+            surface_rng, length_m=track.step_m * len(track.x_m), density_m3=class_density_m3(plan.roughness)
+        )
     target_mps = section.speed_limit_mps if plan.target_speed_mps is None else plan.target_speed_mps
     errand = journey.Errand(
         start_m=track.start_m,
@@ -95,7 +107,12 @@ def simulate_passage(section: RoadSection, plan: PassagePlan, *, step_s: float =
         approach_m=float(plan.approach_m),
         finish_m=section.length_m + plan.exit_m,
         target_mps=float(target_mps),
-        stability_share=1.0 if plan.stability_on else 0.0,
+        brake_from_m=np.inf if plan.braking is None else float(plan.braking.station_m),
+        brake_mps2=0.0 if plan.braking is None else float(plan.braking.decel_mps2),
+        brake_until_mps=-1.0 if plan.braking is None else float(plan.braking.end_speed_mps),
+        abs_on=float(plan.stability.abs_on),
+        tcs_on=float(plan.stability.tcs_on),
+        esc_on=float(plan.stability.esc_on),
         step_s=step_s,
     )
     longest_s = (plan.approach_m + errand.finish_m) / journey.SLOWEST_MEAN_MPS + 10.0
@@ -118,7 +135,9 @@ def simulate_passage(section: RoadSection, plan: PassagePlan, *, step_s: float =
         truth=truth,
         label_mu=_lowest_moving_mean_mu(truth, inside),
         lowest_mu=float(truth.friction_mu[inside].min()) if inside.any() else float(truth.friction_mu.min()),
-        esc_active_frac=float(truth.esc_active[inside].mean()) if inside.any() else 0.0,
+        abs_active_frac=_share(truth.abs_active, inside),
+        tcs_active_frac=_share(truth.tcs_active, inside),
+        esc_active_frac=_share(truth.esc_active, inside),
         peak_utilisation_ratio=_peak_ratio(truth.utilisation_ratio, inside),
         peak_sideslip_rad=float(np.abs(truth.sideslip_rad[inside]).max()) if inside.any() else 0.0,
     )
@@ -148,6 +167,13 @@ def _check(section: RoadSection, plan: PassagePlan) -> None:
     if not 0.02 <= plan.base_friction_mu <= 2.0 or not 0.1 <= plan.wear_factor <= 2.0:
         message = f"friction {plan.base_friction_mu} times wear {plan.wear_factor} is no road's"
         raise ValueError(message)
+    if not 1.5 <= plan.pressure_bar <= 3.5:
+        message = f"a tyre pressure of {plan.pressure_bar} bar is not between 1.5 and 3.5"
+        raise ValueError(message)
+    order = plan.braking
+    if order is not None and not (order.decel_mps2 > 0.0 and 0.5 <= order.end_speed_mps <= 80.0):
+        message = f"braking at {order.decel_mps2} m/s2 down to a speed of {order.end_speed_mps} m/s cannot be ordered"
+        raise ValueError(message)
     if plan.target_speed_mps is not None and not 1.0 <= plan.target_speed_mps <= 80.0:
         message = f"a target speed of {plan.target_speed_mps} m/s is not between 1 and 80"
         raise ValueError(message)
@@ -157,7 +183,7 @@ def _check(section: RoadSection, plan: PassagePlan) -> None:
     known = plan.friction_profile
     if known is not None:
         shapes = {np.shape(values) for values in (known.station_m, known.left_mu, known.right_mu)}
-        values = np.concatenate([np.ravel(known.left_mu), np.ravel(known.right_mu)]) * plan.wear_factor
+        values = np.concatenate([np.ravel(known.left_mu), np.ravel(known.right_mu)]) * plan.tyre_factor
         increasing = len(shapes) == 1 and bool((np.diff(known.station_m) > 0.0).all())
         if not increasing or values.size == 0 or not bool(((values >= 0.02) & (values <= 2.0)).all()):
             message = "a friction profile needs increasing stations and as many frictions, each that of a road"
@@ -200,7 +226,9 @@ def _truth(log: FloatArray, track: Track) -> Truth:
         wheel_force_y_n=force_y.copy(),
         friction_mu=_load_weighted(friction, load),
         utilisation_ratio=np.maximum(front, rear),
-        esc_active=log[:, journey.LOG_YAW_CONTROL] > 0.0,
+        abs_active=log[:, journey.LOG_ABS] > 0.0,
+        tcs_active=log[:, journey.LOG_TCS] > 0.0,
+        esc_active=log[:, journey.LOG_ESC] > 0.0,
     )
 
 
@@ -229,7 +257,7 @@ def _motion(log: FloatArray, vehicle: Vehicle) -> Motion:
             normal * np.cos(roll) * np.cos(pitch) - force_y * np.sin(roll) + force_x * np.sin(pitch),
         ]
     )
-    stability: BoolArray = (log[:, journey.LOG_YAW_CONTROL] > 0.0) | (log[:, journey.LOG_SLIP_CONTROL] > 0.0)
+    stability: BoolArray = log[:, journey.LOG_ABS : journey.LOG_ESC + 1].max(axis=1) > 0.0
     return Motion(
         specific_force_mps2=force,
         rate_radps=np.column_stack([roll_rate, pitch_rate, yaw * np.cos(roll)]),
@@ -258,6 +286,10 @@ def _lowest_moving_mean_mu(truth: Truth, inside: BoolArray) -> float:
     starts = np.concatenate([station[station <= station[-1] - length], [station[-1] - length]])
     mean = (np.interp(starts + length, station, integral) - np.interp(starts, station, integral)) / length
     return reference + float(mean.min())
+
+
+def _share(active: BoolArray, inside: BoolArray) -> float:
+    return float(active[inside].mean()) if inside.any() else 0.0
 
 
 def _peak_ratio(utilisation: FloatArray, inside: BoolArray) -> float:

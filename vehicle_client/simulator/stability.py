@@ -29,8 +29,8 @@ from vehicle_client.simulator.compilation import kernel
 from vehicle_client.simulator.vehicle import Vehicle
 
 # State of the unit: one array. The first four are the shares of brake pressure that ABS leaves.
-TRACTION_SHARE, REFERENCE_YAW, YAW_CONTROL, SLIP_CONTROL = 4, 5, 6, 7
-AIDS_SIZE = 8
+TRACTION_SHARE, REFERENCE_YAW, ABS_ACTIVE, TCS_ACTIVE, ESC_ACTIVE = 4, 5, 6, 7, 8
+AIDS_SIZE = 9
 
 _SLOWEST_MPS = 4.0
 _YAW_DEAD_BAND_RADPS = 0.06
@@ -57,7 +57,15 @@ def switch_on(aids: FloatArray) -> None:
 
 @kernel
 def intervene(
-    aids: FloatArray, body: FloatArray, wheels: FloatArray, gradient_s2pm: float, vehicle: Vehicle, sample_s: float
+    aids: FloatArray,
+    body: FloatArray,
+    wheels: FloatArray,
+    gradient_s2pm: float,
+    abs_on: float,
+    tcs_on: float,
+    esc_on: float,
+    vehicle: Vehicle,
+    sample_s: float,
 ) -> None:
     """Change the torques that the driver asked for, where the car does not do what he steers.
 
@@ -66,13 +74,15 @@ def intervene(
         body: State of the body.
         wheels: State of the wheels; drive and brake torques are changed.
         gradient_s2pm: Understeer gradient of the car.
+        abs_on: Not zero with anti-lock braking.
+        tcs_on: Not zero with traction control.
+        esc_on: Not zero with yaw control.
         vehicle: The car.
         sample_s: Time since the last call.
     """
     vx = body[VELOCITY_X]
-    aids[YAW_CONTROL] = 0.0
-    aids[SLIP_CONTROL] = 0.0
-    if vx > _SLOWEST_MPS:
+    aids[ABS_ACTIVE : ESC_ACTIVE + 1] = 0.0
+    if vx > _SLOWEST_MPS and esc_on > 0.0:
         _control_yaw(aids, body, wheels, gradient_s2pm, vehicle, sample_s)
     else:
         aids[REFERENCE_YAW] = body[YAW_RATE]
@@ -81,14 +91,14 @@ def intervene(
     for i in range(4):
         slip = wheels[i, SLIP_X]
         # Pressure is dropped three times as fast as it comes back.
-        if vx > 1.5 and slip < -_BRAKE_SLIP and wheels[i, BRAKE_NM] > 0.0:
+        if abs_on > 0.0 and vx > 1.5 and slip < -_BRAKE_SLIP and wheels[i, BRAKE_NM] > 0.0:
             aids[i] = max(0.05, aids[i] - 12.0 * sample_s)
         else:
             aids[i] = min(1.0, aids[i] + 4.0 * sample_s)
         if aids[i] < 1.0 and wheels[i, BRAKE_NM] > 0.0:
             wheels[i, BRAKE_NM] *= aids[i]
-            aids[SLIP_CONTROL] = 1.0
-        spinning = spinning or (slip > _DRIVE_SLIP and wheels[i, DRIVE_NM] > 0.0)
+            aids[ABS_ACTIVE] = 1.0
+        spinning = spinning or (tcs_on > 0.0 and slip > _DRIVE_SLIP and wheels[i, DRIVE_NM] > 0.0)
     if spinning:
         aids[TRACTION_SHARE] = max(0.0, aids[TRACTION_SHARE] - 10.0 * sample_s)
     else:
@@ -97,7 +107,7 @@ def intervene(
         for i in range(4):
             if wheels[i, DRIVE_NM] > 0.0:
                 wheels[i, DRIVE_NM] *= aids[TRACTION_SHARE]
-                aids[SLIP_CONTROL] = 1.0
+                aids[TCS_ACTIVE] = 1.0
 
 
 @kernel
@@ -126,7 +136,7 @@ def _control_yaw(
         torque = 0.5 * _YAW_GAIN_NMS * lack
         wheel = 2 if side > 0.0 else 3
     if torque > 0.0:
-        aids[YAW_CONTROL] = 1.0
+        aids[ESC_ACTIVE] = 1.0
         wheels[wheel, BRAKE_NM] += min(torque, _TORQUE_LIMIT_NM)
         for i in range(4):
             wheels[i, DRIVE_NM] = min(0.0, wheels[i, DRIVE_NM])

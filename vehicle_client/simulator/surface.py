@@ -18,16 +18,24 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vehicle_client.simulator.compilation import cached_kernel
+from vehicle_client.simulator.plan import RoughnessClass
 
 if TYPE_CHECKING:
     from roadgrip.units import FloatArray
 
 CLASS_A_DENSITY_M3 = 16e-6
 REFERENCE_WAVE_NUMBER_1PM = 0.1
+CLASS_RATIO = 4.0
+"""From one class to the next the density is four times as large."""
 LONGEST_WAVE_M = 100.0
 COMMON_WAVE_NUMBER_1PM = 0.2
 """Waves longer than its inverse lift both tracks together. Estimate for a track of 1.6 m on an isotropic surface."""
 GRID_M = 0.1
+
+
+def class_density_m3(roughness: RoughnessClass) -> float:
+    """Return Gd(n0) in the middle of a class of ISO 8608: 16e-6 m3 for A, four times as much for every class on."""
+    return CLASS_A_DENSITY_M3 * CLASS_RATIO ** list(RoughnessClass).index(roughness)
 
 
 def roughness_m(rng: np.random.Generator, *, length_m: float, density_m3: float = CLASS_A_DENSITY_M3) -> FloatArray:

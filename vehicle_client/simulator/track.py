@@ -100,8 +100,8 @@ def track_of(section: RoadSection, plan: PassagePlan) -> Track:
             cross_slope,
             np.gradient(grade, step),
             np.gradient(cross_slope, step),
-            left * plan.wear_factor,
-            right * plan.wear_factor,
+            left * plan.tyre_factor,
+            right * plan.tyre_factor,
         ]
     )
     return Track(start_m=float(station[0]), step_m=step, lines=lines, x_m=x, y_m=y, heading_rad=heading)

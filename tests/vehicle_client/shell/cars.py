@@ -53,6 +53,8 @@ def a_drive(section: RoadSection, plan: PassagePlan, *, outcome: DriveOutcome = 
         wheel_force_y_n=wheels,
         friction_mu=flat,
         utilisation_ratio=flat,
+        abs_active=flat.astype(np.bool_),
+        tcs_active=flat.astype(np.bool_),
         esc_active=flat.astype(np.bool_),
     )
     mu = plan.base_friction_mu * plan.wear_factor
@@ -63,6 +65,8 @@ def a_drive(section: RoadSection, plan: PassagePlan, *, outcome: DriveOutcome = 
         truth=truth,
         label_mu=mu,
         lowest_mu=mu,
+        abs_active_frac=0.0,
+        tcs_active_frac=0.0,
         esc_active_frac=0.0,
         peak_utilisation_ratio=0.5,
         peak_sideslip_rad=0.02,

@@ -12,11 +12,13 @@ from roadgrip.units import GRAVITY_MPS2, kph_to_mps
 from tests.vehicle_client.simulator.rig import curvy_road
 from vehicle_client.estimation.trace import check_trace
 from vehicle_client.simulator.run import (
+    NO_SYSTEMS,
     DriveOutcome,
     Driver,
     DriverKind,
     FrictionProfile,
     PassagePlan,
+    RoughnessClass,
     SensorGrade,
     compiled_cache_key,
     draw_plan,
@@ -27,10 +29,8 @@ from vehicle_client.simulator.run import (
 pytestmark = pytest.mark.sim
 
 ROAD = curvy_road()
-CALM = PassagePlan(
-    base_friction_mu=0.6, seed=7, target_speed_mps=15.0, sensor_grade=SensorGrade.IDEAL, rough_surface=False
-)
-REAL = replace(CALM, sensor_grade=SensorGrade.AUTOMOTIVE, rough_surface=True)
+CALM = PassagePlan(base_friction_mu=0.6, seed=7, target_speed_mps=15.0, sensor_grade=SensorGrade.IDEAL, roughness=None)
+REAL = replace(CALM, sensor_grade=SensorGrade.AUTOMOTIVE, roughness=RoughnessClass.A)
 
 
 def arrays_of(drive):
@@ -160,7 +160,7 @@ def test_stability_control_keeps_runs_on_the_road_that_spin_without_it(rng):
     plans = [draw_plan(rng, section=ROAD, base_friction_mu=0.6, kind=DriverKind.REACTING) for _ in range(30)]
     plans = [replace(plan, target_speed_mps=18.0) for plan in plans]
     with_it = [d.outcome for d in simulate_passages(ROAD, plans)]
-    without = [d.outcome for d in simulate_passages(ROAD, [replace(p, stability_on=False) for p in plans])]
+    without = [d.outcome for d in simulate_passages(ROAD, [replace(p, stability=NO_SYSTEMS) for p in plans])]
     assert DriveOutcome.SPUN not in with_it
     assert without.count(DriveOutcome.SPUN) > 5
     assert with_it.count(DriveOutcome.COMPLETED) > 1.5 * without.count(DriveOutcome.COMPLETED)
