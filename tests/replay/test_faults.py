@@ -2,34 +2,19 @@
 
 import pytest
 
-from roadgrip.records import Rejected
-from tests.replay.faults import EXPECTED, Fault, Refusal, Summary, Unreadable, applied
+from tests.replay.faults import BY_DEAD_RECKONING, ends_as, result_of
 from tests.replay.ferrari import FERRARI_GEOMETRY, curve_section_and_trace
-from vehicle_client.pipeline import Summarised, summarise_passage
+from vehicle_client.simulator.faults import Fault
 
-AT = 800  # five seconds into the section, in the bend
+AT_S = 8.0  # five seconds into the section, in the bend
 
 
-@pytest.mark.parametrize("fault", Fault, ids=lambda fault: fault.name.lower())
+@pytest.mark.parametrize("fault", Fault)
 def test_every_fault_ends_as_it_should(fault):
     section, trace = curve_section_and_trace()
-    match EXPECTED[fault]:
-        case Unreadable(error):
-            with pytest.raises(error):
-                applied(fault, trace, at=AT)
-        case Refusal(reason):
-            outcome = summarise_passage(applied(fault, trace, at=AT), section, vehicle=FERRARI_GEOMETRY)
-            assert isinstance(outcome, Rejected), outcome
-            assert outcome.reason is reason
-        case Summary(flags):
-            whole = summarise_passage(trace, section, vehicle=FERRARI_GEOMETRY)
-            broken = summarise_passage(applied(fault, trace, at=AT), section, vehicle=FERRARI_GEOMETRY)
-            assert isinstance(whole, Summarised)
-            assert isinstance(broken, Summarised), broken
-            assert broken.summary.quality == whole.summary.quality | flags
-            assert broken.match.exit_s == pytest.approx(whole.match.exit_s, abs=0.1)
-            assert broken.summary.values[44] == pytest.approx(whole.summary.values[44], rel=0.01)
+    result = result_of(trace, section, fault, at_s=AT_S, vehicle=FERRARI_GEOMETRY)
+    assert ends_as(result, BY_DEAD_RECKONING[fault]), result
 
 
 def test_every_fault_has_a_result():
-    assert set(EXPECTED) == set(Fault)
+    assert set(BY_DEAD_RECKONING) == set(Fault)

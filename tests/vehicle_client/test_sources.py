@@ -35,11 +35,12 @@ def test_a_trace_comes_back_to_the_last_bit(tmp_path, name):
     valid = TRACE.valid.copy()
     valid[500:520] = False
     section = surveyed(road(s_turn))
+    fixes = fixes_of(section, TRACE.time_s + 0.0013, STATION, rng=np.random.default_rng(1))
     trace = replace(
         TRACE,
         valid=valid,
         stability_active=STATION > 300.0,
-        gnss=fixes_of(section, TRACE.time_s + 0.0013, STATION, rng=np.random.default_rng(1)),
+        gnss=replace(fixes, speed_mps=15.0 + 0.1 * np.sin(fixes.time_s)),
     )
     write_trace_csv(tmp_path / name, trace)
     back = read_trace_csv(tmp_path / name)
@@ -48,7 +49,7 @@ def test_a_trace_comes_back_to_the_last_bit(tmp_path, name):
     assert np.array_equal(back.valid, valid)
     assert back.stability_active is not None
     assert np.array_equal(back.stability_active, STATION > 300.0)
-    for array in ("time_s", "lat_deg", "lon_deg", "accuracy_m"):
+    for array in ("time_s", "lat_deg", "lon_deg", "accuracy_m", "speed_mps"):
         assert np.array_equal(getattr(back.gnss, array), getattr(trace.gnss, array)), array
 
 

@@ -27,12 +27,21 @@ class GnssTrack:
         lat_deg: WGS 84.
         lon_deg: WGS 84.
         accuracy_m: One standard deviation of the horizontal position, as the receiver says.
+        speed_mps: Over ground, from the Doppler shift, if the receiver tells it.
     """
 
     time_s: FloatArray
     lat_deg: FloatArray
     lon_deg: FloatArray
     accuracy_m: FloatArray
+    speed_mps: FloatArray | None = None
+
+    def where(self, kept: BoolArray) -> GnssTrack:
+        """Return the fixes of a mask. (k,)"""
+        speed = None if self.speed_mps is None else self.speed_mps[kept]
+        return GnssTrack(
+            self.time_s[kept], self.lat_deg[kept], self.lon_deg[kept], self.accuracy_m[kept], speed_mps=speed
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,7 +131,7 @@ def part_of(trace: Trace, *, from_s: float, to_s: float) -> Trace:
     gnss = trace.gnss
     if gnss is not None:
         kept = (gnss.time_s >= trace.time_s[inside][0]) & (gnss.time_s <= trace.time_s[inside][-1])
-        gnss = GnssTrack(gnss.time_s[kept], gnss.lat_deg[kept], gnss.lon_deg[kept], gnss.accuracy_m[kept])
+        gnss = gnss.where(kept)
     return replace(
         trace,
         time_s=trace.time_s[inside],

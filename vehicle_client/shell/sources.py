@@ -11,6 +11,7 @@ Our format is a CSV file, gzipped if its name ends in `.gz`, one row per sample,
 | `wheel_front_left_mps` ... `wheel_rear_right_mps` | rotation times rolling radius |
 | `stability_active` | optional: 1 while ABS, traction control or ESC intervene, else 0 |
 | `gnss_time_s`, `lat_deg`, `lon_deg`, `gnss_accuracy_m` | optional: a position fix, in the row nearest to its time |
+| `gnss_speed_mps` | optional: speed over ground of that fix |
 
 Columns may come in any order; unknown ones are ignored. An empty cell in a sensor's column makes the row a missing
 sample. `gnss_time_s` may be left out (the row's time is taken), and `gnss_accuracy_m` too (3 m).
@@ -43,6 +44,7 @@ SENSOR_COLUMNS = ("accel_x_mps2", "accel_y_mps2", "roll_rate_radps", "yaw_rate_r
 WHEEL_COLUMNS = tuple(f"wheel_{wheel}_mps" for wheel in WHEELS)
 CHANNELS = SENSOR_COLUMNS + WHEEL_COLUMNS
 GNSS_COLUMNS = ("gnss_time_s", "lat_deg", "lon_deg", "gnss_accuracy_m")
+GNSS_SPEED_COLUMN = "gnss_speed_mps"
 GNSS_ACCURACY_M = 3.0
 DURATION_LIMIT_S = 4.0 * 3600.0
 """A longer recording, or a clock that jumps further, is refused instead of filling the memory."""
@@ -311,11 +313,13 @@ def _gnss_of(columns: Mapping[str, FloatArray], time_s: FloatArray) -> GnssTrack
         return None
     at = columns.get("gnss_time_s", time_s)[fixed]
     accuracy = columns.get("gnss_accuracy_m", np.full_like(time_s, GNSS_ACCURACY_M))[fixed]
+    speed = columns.get(GNSS_SPEED_COLUMN)
     return GnssTrack(
         time_s=np.where(np.isfinite(at), at, time_s[fixed]),
         lat_deg=columns["lat_deg"][fixed],
         lon_deg=columns["lon_deg"][fixed],
         accuracy_m=np.where(np.isfinite(accuracy), accuracy, GNSS_ACCURACY_M),
+        speed_mps=None if speed is None else speed[fixed],
     )
 
 
@@ -325,9 +329,11 @@ def _cells(values: FloatArray, valid: BoolArray) -> list[str]:
 
 def _gnss_cells(gnss: GnssTrack, time_s: FloatArray) -> dict[str, Sequence[str]]:
     row = np.clip(np.rint((gnss.time_s - time_s[0]) / SAMPLE_S).astype(int), 0, len(time_s) - 1)
-    columns = (gnss.time_s, gnss.lat_deg, gnss.lon_deg, gnss.accuracy_m)
+    columns = dict(zip(GNSS_COLUMNS, (gnss.time_s, gnss.lat_deg, gnss.lon_deg, gnss.accuracy_m), strict=True))
+    if gnss.speed_mps is not None:
+        columns[GNSS_SPEED_COLUMN] = gnss.speed_mps
     table: dict[str, Sequence[str]] = {}
-    for name, values in zip(GNSS_COLUMNS, columns, strict=True):
+    for name, values in columns.items():
         cells = [""] * len(time_s)
         for k, value in zip(row.tolist(), values.tolist(), strict=True):
             cells[k] = repr(value)

@@ -1,11 +1,15 @@
 """What the vehicle's sensors make of the true motion.
 
 Errors that last a whole drive (bias, scale, misalignment, mounting, wheel radii) are drawn once per drive; noise is
-drawn per sample. The accelerometers sit away from the centre of gravity; the unit corrects for where it is known to
-sit, so that what remains is the error of that knowledge. Misalignment turns gravity into the horizontal axes too.
+drawn per sample. `amplitudes` holds how large they are.
 
-The numbers are the project's starting table: typical published values of ESC-cluster sensors and CAN resolutions,
-recalled, not measured. They change only with a written decision.
+Three senders share the vehicle's network: the inertial unit, the steering column and the brake controller with its
+wheel speeds. Each stamps its samples by its own clock, early or late by its own jitter. The receiver believes the
+stamps and puts the samples on a grid of 10 ms, so that jitter shows as values of a slightly other moment.
+
+The inertial unit sits beside the centre of gravity, turned a little. Misalignment turns gravity into the horizontal
+axes too. The brake controller, to whom the unit belongs, knows by design where it sits and relates the accelerations to
+the centre of gravity with the yaw rate that it measures; how far the unit really sits from there it does not know.
 """
 
 from __future__ import annotations
@@ -16,81 +20,20 @@ import numpy as np
 
 from roadgrip.units import SAMPLE_S
 from vehicle_client.estimation.trace import GnssTrack, Trace
-from vehicle_client.simulator.plan import SensorGrade
+from vehicle_client.simulator.amplitudes import AUTOMOTIVE, IDEAL, SENSORS, Sensors, scaled
+from vehicle_client.simulator.compilation import cached_kernel
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from roadgrip.geodesy import GeoFrame
     from roadgrip.units import BoolArray, FloatArray
 
+__all__ = ["AUTOMOTIVE", "IDEAL", "SENSORS", "Motion", "Sensors", "gnss_track", "scaled", "trace_of"]
 
-class Sensors(NamedTuple):
-    """One standard deviation unless said; zero means exact.
-
-    Attributes:
-        gyro_noise_radps: Per sample.
-        gyro_bias_radps: What standstill calibration leaves.
-        gyro_scale_ratio: Of the rate.
-        accel_noise_mps2: Per sample.
-        accel_bias_mps2: Residual.
-        accel_scale_ratio: Of the acceleration.
-        misalignment_rad: Of the unit, about each axis.
-        lever_m: Error of the known distance from the centre of gravity, forward and left each.
-        steer_offset_rad: At the road wheel.
-        steer_quantum_rad: Resolution (not a deviation).
-        radius_common_ratio: Of all four rolling radii together.
-        radius_each_ratio: Of each.
-        wheel_noise_ratio: Of the wheel speed, per sample.
-        wheel_quantum_mps: Resolution (not a deviation).
-        gnss_position_m: Per horizontal axis; drifts over `gnss_memory_s`.
-        gnss_memory_s: Correlation time of the position error.
-        gnss_rate_hz: Fixes per second (not a deviation).
-        jitter_s: Of the sampling times.
-    """
-
-    gyro_noise_radps: float = 0.0
-    gyro_bias_radps: float = 0.0
-    gyro_scale_ratio: float = 0.0
-    accel_noise_mps2: float = 0.0
-    accel_bias_mps2: float = 0.0
-    accel_scale_ratio: float = 0.0
-    misalignment_rad: float = 0.0
-    lever_m: float = 0.0
-    steer_offset_rad: float = 0.0
-    steer_quantum_rad: float = 0.0
-    radius_common_ratio: float = 0.0
-    radius_each_ratio: float = 0.0
-    wheel_noise_ratio: float = 0.0
-    wheel_quantum_mps: float = 0.0
-    gnss_position_m: float = 0.0
-    gnss_memory_s: float = 120.0
-    gnss_rate_hz: float = 10.0
-    jitter_s: float = 0.0
-
-
-_DEG = float(np.pi / 180.0)
-
-IDEAL = Sensors()
-AUTOMOTIVE = Sensors(
-    gyro_noise_radps=0.1 * _DEG,
-    gyro_bias_radps=0.1 * _DEG,
-    gyro_scale_ratio=0.01,
-    accel_noise_mps2=0.03,
-    accel_bias_mps2=0.05,
-    accel_scale_ratio=0.01,
-    misalignment_rad=0.5 * _DEG,
-    lever_m=0.02,
-    steer_offset_rad=0.05 * _DEG,
-    steer_quantum_rad=0.1 * _DEG,
-    radius_common_ratio=0.003,
-    radius_each_ratio=0.002,
-    wheel_noise_ratio=0.003,
-    wheel_quantum_mps=0.0156,
-    gnss_position_m=1.5,
-    jitter_s=0.002,
-)
-SENSORS: Mapping[SensorGrade, Sensors] = {SensorGrade.IDEAL: IDEAL, SensorGrade.AUTOMOTIVE: AUTOMOTIVE}
+_DRIVE_DRAWS_COUNT = 19
+_SAMPLE_DRAWS_COUNT = 11
+_FIX_DRAWS_COUNT = 4
+_SLOPE_REACH_COUNT = 5
+"""The controller differentiates the yaw rate over so many samples to either side, to keep its noise small."""
 
 
 class Motion(NamedTuple):
@@ -114,46 +57,35 @@ class Motion(NamedTuple):
 def trace_of(motion: Motion, *, rng: np.random.Generator, sensors: Sensors, gnss: GnssTrack | None = None) -> Trace:
     """Return the trace that sensors of a grade record of a motion.
 
-    The number of draws depends on the number of samples alone, not on the grade.
+    Exact sensors need no chance and draw nothing; with others the number of draws depends on the number of samples
+    alone, so that grades scaled by `scaled` err the same way, only more or less.
 
     Args:
         motion: The truth.
-        rng: Source of chance.
+        rng: Source of chance; the trace is a function of its state and of the other arguments.
         sensors: Their errors.
         gnss: Position fixes to add.
     """
     n = len(motion.steer_rad)
-    fixed = rng.standard_normal(20)
-    noise = rng.standard_normal((n, 10))
-    rate = _jittered(motion.rate_radps, sensors.jitter_s * noise[:, 9])
-    force = _jittered(motion.specific_force_mps2, sensors.jitter_s * noise[:, 9])
-
-    # The unit's lever: centripetal and angular acceleration of where it sits.
-    lever_x, lever_y = sensors.lever_m * fixed[0:2]
-    turning = np.gradient(rate[:, 2], SAMPLE_S) if n > 1 else np.zeros(n)
-    force = force.copy()
-    force[:, 0] -= rate[:, 2] ** 2 * lever_x + turning * lever_y
-    force[:, 1] += turning * lever_x - rate[:, 2] ** 2 * lever_y
-    # A small rotation of the unit against the body.
-    tilt = sensors.misalignment_rad * fixed[2:5]
-    force = _turned(force, tilt)
-    rate = _turned(rate, tilt)
-
-    accel = force[:, :2] * (1.0 + sensors.accel_scale_ratio * fixed[5:7]) + sensors.accel_bias_mps2 * fixed[7:9]
-    accel = accel + sensors.accel_noise_mps2 * noise[:, 0:2]
-    gyro = rate[:, [0, 2]] * (1.0 + sensors.gyro_scale_ratio * fixed[9:11]) + sensors.gyro_bias_radps * fixed[11:13]
-    gyro = gyro + sensors.gyro_noise_radps * noise[:, 2:4]
-    steer = _quantised(motion.steer_rad + sensors.steer_offset_rad * fixed[13], sensors.steer_quantum_rad)
-    radius = 1.0 + sensors.radius_common_ratio * fixed[14] + sensors.radius_each_ratio * fixed[15:19]
-    speed = motion.wheel_speed_mps * radius * (1.0 + sensors.wheel_noise_ratio * noise[:, 4:8])
+    inertial, wheels = np.empty((4, n)), np.empty((n, 4))
+    steer = np.empty(n)
+    if sensors == scaled(sensors, 0.0):
+        inertial[:2] = motion.specific_force_mps2[:, :2].T
+        inertial[2:] = motion.rate_radps[:, 0], motion.rate_radps[:, 2]
+        steer[:], wheels[:] = motion.steer_rad, motion.wheel_speed_mps
+    else:
+        unit, encoders = _drawn(rng, sensors)
+        noise = rng.standard_normal((n, _SAMPLE_DRAWS_COUNT))
+        _sense_inertially(motion.specific_force_mps2, motion.rate_radps, noise, unit, SAMPLE_S, inertial)
+        _sense_wheels(motion.steer_rad, motion.wheel_speed_mps, noise, encoders, steer, wheels)
     return Trace(
         time_s=SAMPLE_S * np.arange(n, dtype=np.float64),
-        accel_x_mps2=np.ascontiguousarray(accel[:, 0]),
-        accel_y_mps2=np.ascontiguousarray(accel[:, 1]),
-        roll_rate_radps=np.ascontiguousarray(gyro[:, 0]),
-        yaw_rate_radps=np.ascontiguousarray(gyro[:, 1]),
+        accel_x_mps2=inertial[0],
+        accel_y_mps2=inertial[1],
+        roll_rate_radps=inertial[2],
+        yaw_rate_radps=inertial[3],
         steer_rad=steer,
-        wheel_speed_mps=_quantised(speed, sensors.wheel_quantum_mps),
+        wheel_speed_mps=wheels,
         valid=np.ones(n, dtype=np.bool_),
         stability_active=motion.stability_active,
         gnss=gnss,
@@ -163,7 +95,10 @@ def trace_of(motion: Motion, *, rng: np.random.Generator, sensors: Sensors, gnss
 def gnss_track(
     x_m: FloatArray, y_m: FloatArray, *, frame: GeoFrame, rng: np.random.Generator, sensors: Sensors
 ) -> GnssTrack:
-    """Return position fixes whose error drifts slowly, as that of a single-frequency receiver does.
+    """Return the fixes of a single-frequency receiver: position errors drift slowly, errors of the speed do not.
+
+    The position error on either axis is a first-order Gauss-Markov process. Receivers get the speed from the Doppler
+    shift, whence its error is small and new at every fix. Stamps jitter as those of all senders do.
 
     Args:
         x_m: True position every 10 ms, east of the section's origin. (n,)
@@ -174,45 +109,171 @@ def gnss_track(
     """
     stride = max(1, round(1.0 / (sensors.gnss_rate_hz * SAMPLE_S)))
     rows = np.arange(0, len(x_m), stride)
-    draws = rng.standard_normal((len(rows), 2))
-    keep = float(np.exp(-stride * SAMPLE_S / sensors.gnss_memory_s))
-    fresh = float(np.sqrt(1.0 - keep**2))
-    error = np.empty_like(draws)
-    error[0] = draws[0]
-    for k in range(1, len(rows)):
-        error[k] = keep * error[k - 1] + fresh * draws[k]
+    draws = rng.standard_normal((len(rows), _FIX_DRAWS_COUNT))
+    error = draws[:, :2]
+    _remember(error, float(np.exp(-stride * SAMPLE_S / sensors.gnss_memory_s)))
     error *= sensors.gnss_position_m
     lat, lon = frame.to_lat_lon(x_m[rows] + error[:, 0], y_m[rows] + error[:, 1])
+    speed = np.zeros(len(x_m))
+    if len(x_m) > 1:
+        speed = np.hypot(np.gradient(x_m, SAMPLE_S), np.gradient(y_m, SAMPLE_S))
+    stamps = SAMPLE_S * rows + sensors.jitter_s * draws[:, 3]
     return GnssTrack(
-        time_s=SAMPLE_S * rows.astype(np.float64),
+        time_s=np.clip(stamps, 0.0, SAMPLE_S * (len(x_m) - 1.0)),
         lat_deg=lat,
         lon_deg=lon,
         accuracy_m=np.full(len(rows), max(0.01, sensors.gnss_position_m)),
+        speed_mps=np.abs(speed[rows] + sensors.gnss_speed_mps * draws[:, 2]),
     )
 
 
-def _turned(vectors: FloatArray, tilt: FloatArray) -> FloatArray:
-    """Return vectors as a unit reads them that is turned by small angles.
+class _Unit(NamedTuple):
+    """One car's inertial unit. It is defined beside what compiles it, since the compiler's cache watches this file."""
 
-    Written out, since a matrix product may add in another order on another machine.
-    """
-    x, y, z = vectors[:, 0], vectors[:, 1], vectors[:, 2]
-    return np.column_stack(
-        [x + tilt[2] * y - tilt[1] * z, y + tilt[0] * z - tilt[2] * x, z + tilt[1] * x - tilt[0] * y]
+    mount_m: float
+    x_m: float
+    y_m: float
+    tilt_x_rad: float
+    tilt_y_rad: float
+    tilt_z_rad: float
+    accel_x_gain_ratio: float
+    accel_y_gain_ratio: float
+    roll_rate_gain_ratio: float
+    yaw_rate_gain_ratio: float
+    accel_x_bias_mps2: float
+    accel_y_bias_mps2: float
+    roll_rate_bias_radps: float
+    yaw_rate_bias_radps: float
+    accel_noise_mps2: float
+    gyro_noise_radps: float
+    jitter_samples_count: float
+
+
+class _Encoders(NamedTuple):
+    """One car's encoders of steering and wheels; defined here as `_Unit` is."""
+
+    steer_offset_rad: float
+    steer_quantum_rad: float
+    wheel_gain_ratio: tuple[float, float, float, float]
+    wheel_noise_ratio: float
+    wheel_quantum_mps: float
+    jitter_samples_count: float
+
+
+def _drawn(rng: np.random.Generator, sensors: Sensors) -> tuple[_Unit, _Encoders]:
+    """Return what lasts a whole drive."""
+    draws = rng.standard_normal(_DRIVE_DRAWS_COUNT).tolist()
+    tilt, gain, bias, radius = draws[2:5], draws[5:9], draws[9:13], draws[14:19]
+    jitter_samples_count = sensors.jitter_s / SAMPLE_S
+    unit = _Unit(
+        mount_m=sensors.mount_m,
+        x_m=sensors.mount_m + sensors.mount_error_m * draws[0],
+        y_m=sensors.mount_m + sensors.mount_error_m * draws[1],
+        tilt_x_rad=sensors.misalignment_rad * tilt[0],
+        tilt_y_rad=sensors.misalignment_rad * tilt[1],
+        tilt_z_rad=sensors.misalignment_rad * tilt[2],
+        accel_x_gain_ratio=1.0 + sensors.accel_scale_ratio * gain[0],
+        accel_y_gain_ratio=1.0 + sensors.accel_scale_ratio * gain[1],
+        roll_rate_gain_ratio=1.0 + sensors.gyro_scale_ratio * gain[2],
+        yaw_rate_gain_ratio=1.0 + sensors.gyro_scale_ratio * gain[3],
+        accel_x_bias_mps2=sensors.accel_bias_mps2 * bias[0],
+        accel_y_bias_mps2=sensors.accel_bias_mps2 * bias[1],
+        roll_rate_bias_radps=sensors.gyro_bias_radps * bias[2],
+        yaw_rate_bias_radps=sensors.gyro_bias_radps * bias[3],
+        accel_noise_mps2=sensors.accel_noise_mps2,
+        gyro_noise_radps=sensors.gyro_noise_radps,
+        jitter_samples_count=jitter_samples_count,
     )
+    common = 1.0 + sensors.radius_common_ratio * radius[0]
+    front_left, front_right, rear_left, rear_right = (common + sensors.radius_each_ratio * each for each in radius[1:])
+    encoders = _Encoders(
+        steer_offset_rad=sensors.steer_offset_rad * draws[13],
+        steer_quantum_rad=sensors.steer_quantum_rad,
+        wheel_gain_ratio=(front_left, front_right, rear_left, rear_right),
+        wheel_noise_ratio=sensors.wheel_noise_ratio,
+        wheel_quantum_mps=sensors.wheel_quantum_mps,
+        jitter_samples_count=jitter_samples_count,
+    )
+    return unit, encoders
 
 
-def _jittered(values: FloatArray, shift_s: FloatArray) -> FloatArray:
-    """Return values read a little earlier or later than their time says, by straight lines between samples."""
-    n = len(values)
-    if n < 2 or not shift_s.any():
-        return values
-    at = np.clip(np.arange(n) + shift_s / SAMPLE_S, 0.0, n - 1.0)
-    i = np.minimum(at.astype(np.int64), n - 2)
-    part = (at - i)[:, None]
-    read: FloatArray = values[i] * (1.0 - part) + values[i + 1] * part
-    return read
+@cached_kernel  # it calls nothing, so its own file is all there is to watch
+def _sense_inertially(  # noqa: PLR0917 - compiled code takes its arguments by position
+    force: FloatArray, rate: FloatArray, noise: FloatArray, unit: _Unit, sample_s: float, sensed: FloatArray
+) -> None:
+    """Fill in forward and left acceleration, roll rate and yaw rate. (4, n)"""
+    n = len(force)
+    # Rigid body: the unit feels the centripetal and the angular acceleration of where it sits.
+    there = np.empty((n, 2))
+    for k in range(n):
+        after, before = min(k + 1, n - 1), max(k - 1, 0)
+        turning = (rate[after, 2] - rate[before, 2]) / (max(after - before, 1) * sample_s)
+        w = rate[k, 2]
+        there[k, 0] = force[k, 0] - w * w * unit.x_m - turning * unit.y_m
+        there[k, 1] = force[k, 1] + turning * unit.x_m - w * w * unit.y_m
+    for k in range(n):
+        at = min(max(k + unit.jitter_samples_count * noise[k, 8], 0.0), n - 1.0)
+        i = min(int(at), max(n - 2, 0))
+        j = min(i + 1, n - 1)
+        q = at - i
+        p = 1.0 - q
+        fx, fy = p * there[i, 0] + q * there[j, 0], p * there[i, 1] + q * there[j, 1]
+        fz = p * force[i, 2] + q * force[j, 2]
+        wx, wy = p * rate[i, 0] + q * rate[j, 0], p * rate[i, 1] + q * rate[j, 1]
+        wz = p * rate[i, 2] + q * rate[j, 2]
+        # As a unit reads vectors that is turned by small angles.
+        accel_x = fx + unit.tilt_z_rad * fy - unit.tilt_y_rad * fz
+        accel_y = fy + unit.tilt_x_rad * fz - unit.tilt_z_rad * fx
+        roll_rate = wx + unit.tilt_z_rad * wy - unit.tilt_y_rad * wz
+        yaw_rate = wz + unit.tilt_y_rad * wx - unit.tilt_x_rad * wy
+        sensed[0, k] = accel_x * unit.accel_x_gain_ratio + unit.accel_x_bias_mps2 + unit.accel_noise_mps2 * noise[k, 0]
+        sensed[1, k] = accel_y * unit.accel_y_gain_ratio + unit.accel_y_bias_mps2 + unit.accel_noise_mps2 * noise[k, 1]
+        sensed[2, k] = roll_rate * unit.roll_rate_gain_ratio + unit.roll_rate_bias_radps
+        sensed[2, k] += unit.gyro_noise_radps * noise[k, 2]
+        sensed[3, k] = yaw_rate * unit.yaw_rate_gain_ratio + unit.yaw_rate_bias_radps
+        sensed[3, k] += unit.gyro_noise_radps * noise[k, 3]
+    # What the controller makes of it: its own yaw rate, and where the unit should sit.
+    for k in range(n):
+        after, before = min(k + _SLOPE_REACH_COUNT, n - 1), max(k - _SLOPE_REACH_COUNT, 0)
+        turning = (sensed[3, after] - sensed[3, before]) / (max(after - before, 1) * sample_s)
+        w = sensed[3, k]
+        sensed[0, k] += unit.mount_m * (w * w + turning)
+        sensed[1, k] += unit.mount_m * (w * w - turning)
 
 
-def _quantised(values: FloatArray, quantum: float) -> FloatArray:
-    return np.rint(values / quantum) * quantum if quantum > 0.0 else values.copy()
+@cached_kernel  # as above
+def _sense_wheels(  # noqa: PLR0917 - as above
+    steer: FloatArray,
+    wheels: FloatArray,
+    noise: FloatArray,
+    encoders: _Encoders,
+    steer_sensed: FloatArray,
+    wheels_sensed: FloatArray,
+) -> None:
+    """Fill in the steering angle (n,) and the four wheel speeds (n, 4)."""
+    n = len(steer)
+    quantum = encoders.steer_quantum_rad
+    for k in range(n):
+        at = min(max(k + encoders.jitter_samples_count * noise[k, 9], 0.0), n - 1.0)
+        i = min(int(at), max(n - 2, 0))
+        j = min(i + 1, n - 1)
+        value = (1.0 - (at - i)) * steer[i] + (at - i) * steer[j] + encoders.steer_offset_rad
+        steer_sensed[k] = np.rint(value / quantum) * quantum if quantum > 0.0 else value
+    quantum = encoders.wheel_quantum_mps
+    for k in range(n):
+        at = min(max(k + encoders.jitter_samples_count * noise[k, 10], 0.0), n - 1.0)
+        i = min(int(at), max(n - 2, 0))
+        j = min(i + 1, n - 1)
+        for wheel in range(4):
+            value = (1.0 - (at - i)) * wheels[i, wheel] + (at - i) * wheels[j, wheel]
+            value *= encoders.wheel_gain_ratio[wheel] * (1.0 + encoders.wheel_noise_ratio * noise[k, 4 + wheel])
+            wheels_sensed[k, wheel] = np.rint(value / quantum) * quantum if quantum > 0.0 else value
+
+
+@cached_kernel  # as above
+def _remember(draws: FloatArray, keep: float) -> None:
+    """Turn white sequences of unit size, one per column, into first-order Gauss-Markov ones of unit size."""
+    fresh = np.sqrt(1.0 - keep * keep)
+    for k in range(1, len(draws)):
+        for j in range(draws.shape[1]):
+            draws[k, j] = keep * draws[k - 1, j] + fresh * draws[k, j]
