@@ -212,6 +212,17 @@ def test_wheel_loads_carry_the_weight(grade_ratio):
     np.testing.assert_allclose(motion.wheel_load_n[1:].sum(1), weight, rtol=1e-9)
 
 
+def test_in_a_banked_bend_the_wheels_bear_a_part_of_the_centripetal_force():
+    plan = PassagePlan(
+        base_friction_mu=0.9, seed=1, target_speed_mps=17.0, sensor_grade=SensorGrade.IDEAL, roughness=None
+    )
+    truth = simulate_passage(curvy_road(radius_m=60.0, bank_ratio=0.07), plan).truth
+    middle = np.abs(truth.station_m - 148.0) < 20.0
+    bank = math.atan(-0.07)
+    normal = GRAVITY_MPS2 * math.cos(bank) - truth.velocity_x_mps**2 / 60.0 * math.sin(bank)
+    np.testing.assert_allclose(truth.wheel_load_n[middle].sum(1), XC90.mass_kg * normal[middle], rtol=2e-3)
+
+
 @pytest.mark.parametrize("accel_y_mps2", [1.0, 3.0, 5.0])
 def test_steady_cornering_shifts_load_as_statics_say(accel_y_mps2):
     steer = accel_y_mps2 * (XC90.wheelbase_m / 20.0**2 + analytic.understeer_gradient_s2pm(XC90))
