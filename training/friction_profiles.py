@@ -16,6 +16,8 @@ HIGHER_BY_MU = 0.2
 wear spreads: a worn tyre in the grippier turn finds more than a new one in the other."""
 TRANSITION_M = 20.0
 """Length over which one friction passes into the other, about the point where the road turns over."""
+TURN_MIN_RAD = 0.05
+"""What turns less is no turn."""
 PATCH_LENGTHS_M = (3.0, 30.0)
 PATCH_RATIOS = (0.3, 0.8)
 """Friction of a patch over that of the road around it: from ice on asphalt to a little slush."""
@@ -56,12 +58,13 @@ def turnover_m(section: RoadSection) -> float:
     """
     profile = section.profile
     curvature = profile.curvature_1pm
+    heading = profile.heading_rad
     after = np.flatnonzero(curvature[1:] * curvature[:-1] < 0.0) + 1
-    if len(after) == 0:
+    parted = np.minimum(np.abs(heading[after] - heading[0]), np.abs(heading[-1] - heading[after]))
+    # On a straight the curvature of a map changes its sign all the time, by the rounding of its nodes.
+    if len(after) == 0 or parted.max() < TURN_MIN_RAD:
         message = f"section {section.section_id!r} turns one way only"
         raise ValueError(message)
-    heading = profile.heading_rad
-    parted = np.minimum(np.abs(heading[after] - heading[0]), np.abs(heading[-1] - heading[after]))
     i = int(after[np.argmax(parted)])
     part = curvature[i - 1] / (curvature[i - 1] - curvature[i])
     return float(profile.station_m[i - 1] + part * (profile.station_m[i] - profile.station_m[i - 1]))

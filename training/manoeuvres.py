@@ -3,12 +3,10 @@
 The paper tests its regressor on manoeuvres that its training never saw, after Lampe and Ziaukas: slalom, tight lane
 change, ninety degree turn at relatively high speed, sine wave driving, at frictions from 0.2 to 1. It gives no
 dimensions; ours are those of well-known tests where there is one. They lie on a flat proving ground. The centre line of
-such a section is the path that is to be driven; its rated speed asks for about three quarters of gravity where it bends
-most, which a dry road just gives.
+such a section is the path that is to be driven; its rated speed asks for nearly all that a dry road gives where it
+bends most.
 
 Straights are for the straight case of the sideslip observer, and for the brakes.
-
-`python -m training.manoeuvres --plot FILE` draws the centre lines of all scenarios.
 
 References:
     Langstrand and Rabi, Learning to cooperatively estimate road surface friction, section "Testing with extreme
@@ -48,17 +46,19 @@ if TYPE_CHECKING:
 
 MANOEUVRE_FRICTIONS_MU = tuple(round(0.20 + 0.05 * i, 2) for i in range(17))
 """The paper's range for extreme manoeuvres, 0.2 to 1, in the steps of its test matrix."""
-RATED_ACCEL_MPS2 = 7.5
+RATED_ACCEL_MPS2 = 9.0
 """Lateral acceleration that the rated speed asks for at the tightest point of a manoeuvre."""
 WITHOUT_SYSTEMS_FRAC = 0.5
 """Share of the test drives with the stability systems switched off, as far as they can be on a proving ground."""
 _SPEED_STEP_KPH = 5.0
+_HARDLY_MPS2 = 0.01
+"""An order to brake that is fulfilled before it is felt."""
 _PLACE_M = (262_000.0, 6_826_000.0, 520.0)
 """In the mountain valley of the paper's roads, where no proving ground lies."""
 FADE_HALF_WAVES = 2.0
 """Over so many half waves a swerve swells and fades; over one alone its ends would bend half as much again."""
 _NODE_STEP_M = 2.0
-_PIECE_M = 1.0
+_PIECE_M = 0.5
 
 
 class Manoeuvre(StrEnum):
@@ -174,9 +174,10 @@ def draw_manoeuvre(rng: np.random.Generator, kind: Manoeuvre, *, section_id: str
     elif kind is Manoeuvre.NINETY_DEGREES:
         shape = Corner(radius_m=rng.uniform(15.0, 25.0), easing_m=rng.uniform(7.0, 12.0))
     else:
+        half_wave_m = rng.uniform(22.0, 40.0)
         shape = Swerve(
-            half_wave_m=rng.uniform(22.0, 40.0),
-            amplitude_m=rng.uniform(1.8, 4.0),
+            half_wave_m=half_wave_m,
+            amplitude_m=rng.uniform(0.07, 0.11) * half_wave_m,
             half_waves_count=int(rng.integers(5, 10)),
         )
     return _section_of(kind, shape, section_id=section_id, to_the_left=bool(rng.random() < 0.5))
@@ -288,7 +289,7 @@ def draw_straight_plan(
         order = Braking(station_m=station_m, decel_mps2=vehicle.brake_limit_mps2, end_speed_mps=end_frac * speed_mps)
     elif case is StraightCase.ACCELERATION:
         speed_mps *= 2.0 / 3.0
-        order = Braking(station_m=station_m, decel_mps2=soft_mps2, end_speed_mps=1.5 * speed_mps)
+        order = Braking(station_m=station_m, decel_mps2=_HARDLY_MPS2, end_speed_mps=1.5 * speed_mps)
     else:
         return plan
     return replace(plan, target_speed_mps=speed_mps, braking=order)
@@ -350,7 +351,7 @@ def _points_count(way_m: float) -> int:
 
 
 def _elements_of_path(x_m: FloatArray, y_m: FloatArray) -> tuple[Element, ...]:
-    """Return a path that is given by its distance from a straight line, in pieces of linear curvature of a metre."""
+    """Return a path that is given by its distance from a straight line, in short pieces of linear curvature."""
     heading = np.arctan(np.gradient(y_m, x_m))
     station = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x_m), np.diff(y_m)))])
     curvature = np.gradient(heading, station)

@@ -286,13 +286,14 @@ def _loaded(
     above_m = np.array([height_m, height_m + rng.uniform(0.05, 0.15), height_m + rng.uniform(0.0, 0.15)])
     mass_kg = float(masses.sum())
     cog_m, cog_height_m = float(masses @ behind_m) / mass_kg, float(masses @ above_m) / mass_kg
-    empty_yaw = empty_kg * front_axle_m * (wheelbase_m - front_axle_m) * rng.uniform(0.88, 1.05)
+    empty_yaw = empty_kg * front_axle_m * (wheelbase_m - front_axle_m) * rng.uniform(0.90, 1.06)
     empty_roll = empty_kg * (rng.uniform(0.37, 0.42) * track_m) ** 2
     return _Body(
         mass_kg=mass_kg,
         front_axle_m=cog_m,
         height_m=cog_height_m,
-        yaw_inertia_kgm2=empty_yaw + float(masses @ (behind_m - cog_m) ** 2),
+        # Who and what comes after the driver is spread over seats and boot, half a metre to either side of its middle.
+        yaw_inertia_kgm2=empty_yaw + float(masses @ (behind_m - cog_m) ** 2) + others_kg * 0.5**2,
         # People and luggage lie a quarter of the track beside the middle.
         roll_inertia_kgm2=empty_roll + float(masses @ (above_m - cog_height_m) ** 2) + payload_kg * (track_m / 4) ** 2,
     )
