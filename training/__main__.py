@@ -1,8 +1,10 @@
 """roadgrip-train: drives with known friction become the model that road side units run.
 
-Four steps, each leaving its result on disk, or all of them at once::
+Four steps (simulate, fit, export, bundle), each leaving its result on disk, or all of them at once::
 
+    roadgrip-train designs                            list what can be driven
     roadgrip-train simulate --out build/runs          drive a design, write Parquet
+    roadgrip-train cells build/runs                   say how the drives ended, cell by cell
     roadgrip-train fit build/runs --out build/fit     grow trees, judge them on runs they never saw
     roadgrip-train export build/fit --out model.onnx  convert, and prove that nothing changed
     roadgrip-train bundle build/runs --fit build/fit --out build/bundle
@@ -23,16 +25,29 @@ from typing import Annotated
 import numpy as np
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
 from roadgrip.bundle import BundleManifest
 from roadgrip.errors import RoadgripError
-from roadgrip.section import RoadSection
-from roadgrip.sections import read_section
-from training import simulation
 from training.bundling import write_bundle
-from training.dataset import COMPLETED, Runs, read_runs, write_runs
+from training.cells import cells_of
+from training.cli_designs import (
+    DEFAULT_SEED,
+    AsJson,
+    RunsCount,
+    Seed,
+    Workers,
+    cells,
+    console,
+    designs,
+    drive,
+    print_cells,
+    progress_bar,
+    simulate,
+    title_of,
+)
+from training.dataset import Runs, read_runs
+from training.designs import Size, named_design
 from training.export import check_parity, parity_rows, to_onnx
 from training.fit_files import read_fit, read_trees, write_fit
 from training.regressor import (
@@ -43,13 +58,11 @@ from training.regressor import (
     fit,
     mape_ratio_on_unseen_roads,
 )
-from training.scenarios import Design, mixed_design, paper_roads_design
-from vehicle_client.simulator.plan import DriverKind, SensorGrade
+from training.scenarios import Terms
+from vehicle_client.simulator.plan import SensorGrade
 
-PAPER_ROADS = ("long-turn", "s-turn", "sharp-turn")
 BUNDLE_NAME = "roadgrip-global"
 DEFAULT_BUNDLE_FOLDER = Path(str(files("rsu_app") / "default_bundle"))
-DEFAULT_SEED = 20_260_701
 DEFAULT_RUNS_COUNT = 250
 DEFAULT_RANDOM_ROADS_COUNT = 120
 DEFAULT_RANDOM_RUNS_COUNT = 4
@@ -63,7 +76,6 @@ app = typer.Typer(
     add_completion=False,
     rich_markup_mode=None,
 )
-console = Console(stderr=True)
 
 
 def _print_version(asked: bool) -> None:
@@ -81,73 +93,14 @@ def _root(
     """Turn drives with known friction into the model that road side units run."""
 
 
-DesignName = Annotated[
-    str,
-    typer.Option(
-        "--design",
-        metavar="paper-roads|mixed",
-        help="paper-roads: the paper's three roads. mixed: those and random ones, fewer each.",
-    ),
-]
-Grade = Annotated[
-    SensorGrade, typer.Option("--sensors", help="ideal: the paper's setting. automotive: what a car has.")
-]
-Kind = Annotated[
-    DriverKind, typer.Option("--driver", help="prudent: also judges the surface by its looks. reacting: does not.")
-]
-RunsCount = Annotated[int, typer.Option("--runs", min=1, help="Vehicles per road and base friction.")]
-Seed = Annotated[int, typer.Option("--seed", min=0, help="Changes every run; the same seed gives the same runs.")]
-Workers = Annotated[int | None, typer.Option("--workers", min=1, help="Processes; all processors if left out.")]
-AsJson = Annotated[bool, typer.Option("--json", help="Print the result as JSON, for machines.")]
 Trees = Annotated[int, typer.Option("--trees", min=1, help="Boosting rounds.")]
 Depth = Annotated[int, typer.Option("--depth", min=1, max=12, help="Levels of one tree.")]
 RunsFolder = Annotated[Path, typer.Argument(help="Folder of Parquet shards, or one Parquet file.")]
 
 
-@app.command()
-def simulate(
-    *,
-    out: Annotated[Path, typer.Option("--out", help="Folder for the Parquet shards; goes on where it was.")],
-    design: DesignName = "paper-roads",
-    sensors: Grade = SensorGrade.AUTOMOTIVE,
-    driver: Kind = DriverKind.PRUDENT,
-    runs: RunsCount = 20,
-    random_roads: Annotated[int, typer.Option(min=0, help="Random roads of the mixed design.")] = 30,
-    random_runs: Annotated[int, typer.Option(min=1, help="Vehicles per base friction on each random road.")] = 4,
-    section: Annotated[list[Path] | None, typer.Option(help="Drive this section file instead; repeatable.")] = None,
-    seed: Seed = DEFAULT_SEED,
-    workers: Workers = None,
-    as_json: AsJson = False,
-) -> None:
-    """Drive a design and write one row of features and truth per run.
-
-    Runs that leave the road stay in the table with their outcome. A killed run goes on where it was when the
-    command is given again.
-
-    Example: roadgrip-train simulate --design paper-roads --sensors ideal --runs 100 --out build/ideal
-    """
-    sections = tuple(read_section(path) for path in section) if section else _paper_sections()
-    if design == "paper-roads":
-        chosen = paper_roads_design(sections, runs_count=runs, sensor_grade=sensors, seed=seed, driver_kind=driver)
-    elif design == "mixed":
-        chosen = mixed_design(
-            sections,
-            runs_count=runs,
-            random_roads_count=random_roads,
-            random_runs_count=random_runs,
-            sensor_grade=sensors,
-            seed=seed,
-            driver_kind=driver,
-        )
-    else:
-        raise typer.BadParameter(f"no design {design!r}; there are paper-roads and mixed", param_hint="--design")
-    driven = _drive(chosen, out, workers=workers)
-    outcomes = {name: driven.outcome.count(name) for name in sorted(set(driven.outcome))}
-    if as_json:
-        typer.echo(json.dumps({"runs_count": len(driven), "outcomes": outcomes, "dataset_digest": driven.digest()}))
-    else:
-        _print_outcomes(driven)
-        typer.echo(f"{len(driven)} runs in {out}, data set {driven.digest()}")
+app.command()(simulate)
+app.command()(designs)
+app.command()(cells)
 
 
 @app.command(name="fit")
@@ -232,21 +185,15 @@ def default_bundle(
 
     The paper's three roads with many vehicles, random roads with a few, automotive sensors, prudent drivers.
     """
-    design = mixed_design(
-        _paper_sections(),
-        runs_count=runs,
-        random_roads_count=random_roads,
-        random_runs_count=DEFAULT_RANDOM_RUNS_COUNT,
-        sensor_grade=SensorGrade.AUTOMOTIVE,
-        seed=seed,
-    )
-    driven = _drive(design, work / "runs", workers=workers)
-    write_runs(driven, work / "all.parquet", description={"design": design.name, "seed": str(seed)})
-    fitted = _fit(driven, DEFAULT_FIT)
+    terms = Terms("mixed", seed, SensorGrade.AUTOMOTIVE)
+    size = Size(runs, random_roads_count=random_roads, random_runs_count=DEFAULT_RANDOM_RUNS_COUNT)
     command = f"roadgrip-train default-bundle --runs {runs} --random-roads {random_roads} --seed {seed}"
+    folder = work / "runs"
+    driven = drive(named_design("mixed", terms, size), folder, workers=workers, command=command)
+    fitted = _fit(driven, DEFAULT_FIT)
     manifest = _bundle(driven, fitted, out, name=BUNDLE_NAME, command=command, parameters=DEFAULT_FIT)
     if not as_json:
-        _print_outcomes(driven)
+        print_cells(driven, cells_of(driven), title=title_of(folder))
     _print_bundle(manifest, out, as_json=as_json)
 
 
@@ -262,38 +209,13 @@ def main() -> None:
         raise SystemExit(2) from error
 
 
-def _paper_sections() -> tuple[RoadSection, ...]:
-    return tuple(read_section(name) for name in PAPER_ROADS)
-
-
-def _progress() -> Progress:
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-        console=console,
-    )
-
-
-def _drive(design: Design, folder: Path, *, workers: int | None) -> Runs:
-    with _progress() as bar:
-        task = bar.add_task(f"driving {design.name} (the first time, compiling)", total=design.runs_count)
-
-        def show(progress: simulation.Progress) -> None:
-            bar.update(task, completed=progress.runs_done_count)
-
-        return simulation.drive_design(design, folder, workers_count=workers, on_progress=show)
-
-
 def _fit(runs: Runs, parameters: FitParameters) -> Fitted:
-    with _progress() as bar:
-        task = bar.add_task(f"growing trees on {int(runs.usable.sum())} runs", total=parameters.trees_count)
+    with progress_bar() as bar:
+        task = bar.add_task(f"growing trees on {int(runs.usable.sum())} runs", total=parameters.trees_count, rate="")
         fitted = fit(runs, parameters, on_round=lambda done: bar.update(task, completed=done))
         if len(set(runs.section_id)) < FEWEST_ROADS:
             return fitted
-        folds = bar.add_task("judging on roads that were not learned", total=ROAD_FOLDS_COUNT)
+        folds = bar.add_task("judging on roads that were not learned", total=ROAD_FOLDS_COUNT, rate="")
         unseen = mape_ratio_on_unseen_roads(runs, parameters, on_fold=lambda done: bar.update(folds, completed=done))
     return replace(fitted, metrics={**fitted.metrics, "mape_ratio_unseen_roads": unseen})
 
@@ -316,19 +238,6 @@ def _version_of(distribution: str) -> str:
         return version(distribution)
     except ModuleNotFoundError:
         return "not installed under this name"
-
-
-def _print_outcomes(runs: Runs) -> None:
-    """Print how the runs ended, a row per base friction."""
-    names = sorted(set(runs.outcome), key=lambda name: (name != COMPLETED, name))
-    table = Table("base friction", "runs", *names, title="How the runs ended")
-    base = np.round(runs.labels["base_friction_mu"], 3)
-    outcomes = np.array(runs.outcome)
-    for mu in np.unique(base):
-        rows = base == mu
-        counts = [int((outcomes[rows] == name).sum()) for name in names]
-        table.add_row(f"{mu:.2f}", str(int(rows.sum())), *map(str, counts))
-    Console().print(table)
 
 
 def _print_metrics(metrics: dict[str, float], *, as_json: bool) -> None:

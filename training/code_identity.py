@@ -8,7 +8,7 @@ from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 
-_OURS = ("roadgrip", "vehicle_client", "training")
+_OURS = ("roadgrip", "rsu_app", "vehicle_client", "training")
 
 
 @cache

@@ -22,8 +22,34 @@ from roadgrip.units import FloatArray
 COMPLETED = "completed"
 _METADATA_KEY = b"roadgrip"
 
-LABEL_COLUMNS = ("label_mu", "base_friction_mu", "wear_ratio", "esc_active_frac", "peak_utilisation_ratio")
-"""What is known about a run beyond its features, as numbers."""
+SHARDS_FOLDER_NAME = "shards"
+"""Where a design's files lie while it is driven."""
+RUNS_FILE_NAME = "runs.parquet"
+"""The whole data set of a finished design, in the design's folder."""
+
+LABEL_COLUMNS = (
+    "label_mu",
+    "lowest_mu",
+    "base_friction_mu",
+    "wear_ratio",
+    "attempt_number",
+    "rated_speed_mps",
+    "target_speed_mps",
+    "mean_speed_mps",
+    "duration_s",
+    "friction_guess_mu",
+    "abs_active_frac",
+    "tcs_active_frac",
+    "esc_active_frac",
+    "peak_utilisation_ratio",
+    "peak_sideslip_rad",
+)
+"""What is known about a run beyond its features, as numbers; docs/designs.md says what each means.
+
+None of them is for a regressor to learn from, the driver's guess least of all: a vehicle on the road knows none.
+"""
+
+_WORD_COLUMNS = ("run_key", "scenario", "section_id", "outcome")
 
 
 class DatasetError(RoadgripError):
@@ -37,13 +63,15 @@ class Runs:
     Attributes:
         features: In the order of the feature table; NaN in rows without a summary. (n, 78)
         labels: One array per name of `LABEL_COLUMNS`. Each (n,)
-        section_id: The section of each run. (n,)
+        scenario: The scenario of each run. (n,)
+        section_id: The section it was driven on. (n,)
         outcome: "completed", or why there is no summary. (n,)
         run_key: Name of each run inside its design; the run's seed follows from it. (n,)
     """
 
     features: FloatArray
     labels: dict[str, FloatArray]
+    scenario: tuple[str, ...]
     section_id: tuple[str, ...]
     outcome: tuple[str, ...]
     run_key: tuple[str, ...]
@@ -58,11 +86,27 @@ class Runs:
         completed = np.array([outcome == COMPLETED for outcome in self.outcome], dtype=bool)
         return completed & np.isfinite(self.features).all(axis=1) & np.isfinite(self.labels["label_mu"])
 
+    def rows(self, indices: np.ndarray[tuple[int], np.dtype[np.intp]]) -> Runs:
+        """Return some of the runs, in the order of the indices."""
+        chosen = indices.tolist()
+        return Runs(
+            features=self.features[indices],
+            labels={name: values[indices] for name, values in self.labels.items()},
+            scenario=tuple(self.scenario[i] for i in chosen),
+            section_id=tuple(self.section_id[i] for i in chosen),
+            outcome=tuple(self.outcome[i] for i in chosen),
+            run_key=tuple(self.run_key[i] for i in chosen),
+        )
+
     def digest(self) -> str:
         """Return sixteen hexadecimal characters that name the content, whatever the order of the rows."""
         order = np.argsort(np.array(self.run_key))
         digest = hashlib.sha256(TABLE_DIGEST.encode())
-        digest.update("\n".join(f"{self.run_key[i]}|{self.outcome[i]}" for i in order).encode())
+        digest.update(
+            "\n".join(
+                f"{self.run_key[i]}|{self.scenario[i]}|{self.section_id[i]}|{self.outcome[i]}" for i in order
+            ).encode()
+        )
         digest.update(self.features[order].astype("<f4").tobytes())
         for name in LABEL_COLUMNS:
             digest.update(self.labels[name][order].astype("<f8").tobytes())
@@ -77,29 +121,39 @@ def write_runs(runs: Runs, path: Path, *, description: dict[str, str]) -> None:
         path: The file; its folder must exist.
         description: Where the rows come from, kept in the file's metadata beside the feature table's digest.
     """
-    columns: dict[str, object] = {"run_key": list(runs.run_key)}
-    columns["section_id"] = list(runs.section_id)
-    columns["outcome"] = list(runs.outcome)
+    columns: dict[str, object] = {name: list(getattr(runs, name)) for name in _WORD_COLUMNS}
     columns |= {name: runs.labels[name] for name in LABEL_COLUMNS}
     columns |= {name: runs.features[:, i].astype(np.float32) for i, name in enumerate(FEATURE_NAMES)}
-    metadata = {_METADATA_KEY: json.dumps({**description, "table_digest": TABLE_DIGEST}, sort_keys=True).encode()}
-    table = pa.table(columns).replace_schema_metadata(metadata)
+    table = pa.table(columns).replace_schema_metadata(metadata_of(description))
     partial = path.with_suffix(".partial")
     pq.write_table(table, partial, compression="zstd")
     partial.replace(path)
 
 
 def read_runs(source: Path) -> Runs:
-    """Return the runs of one Parquet file, or of all of them in a folder in the order of their names.
+    """Return the runs of one Parquet file, of a finished design's folder, or of all files of a folder by their names.
 
     Raises:
         DatasetError: There is no such file, or it is no table of runs.
         FeatureTableError: It was made for another feature table.
     """
-    paths = sorted(source.glob("*.parquet")) if source.is_dir() else [source]
+    whole = source / RUNS_FILE_NAME
+    paths = [whole] if whole.is_file() else sorted(source.glob("*.parquet")) if source.is_dir() else [source]
+    if not paths and (source / SHARDS_FOLDER_NAME).is_dir():
+        raise DatasetError(f"the design in {source} is not finished; give its `roadgrip-train simulate` again")
     if not paths or not all(path.is_file() for path in paths):
         raise DatasetError(f"no Parquet files at {source}; make some with `roadgrip-train simulate`")
     return joined([_read_one(path) for path in paths])
+
+
+def read_outcomes(path: Path) -> tuple[str, ...]:
+    """Return how the runs of one Parquet file ended, without reading the rest."""
+    return tuple(pq.read_table(path, columns=["outcome"])["outcome"].to_pylist())
+
+
+def metadata_of(description: dict[str, str]) -> dict[bytes, bytes]:
+    """Return what a Parquet file says about its origin, as the format wants it; `read_description` reads it back."""
+    return {_METADATA_KEY: json.dumps({**description, "table_digest": TABLE_DIGEST}, sort_keys=True).encode()}
 
 
 def joined(parts: list[Runs]) -> Runs:
@@ -107,6 +161,7 @@ def joined(parts: list[Runs]) -> Runs:
     return Runs(
         features=np.concatenate([part.features for part in parts]),
         labels={name: np.concatenate([part.labels[name] for part in parts]) for name in LABEL_COLUMNS},
+        scenario=tuple(s for part in parts for s in part.scenario),
         section_id=tuple(s for part in parts for s in part.section_id),
         outcome=tuple(o for part in parts for o in part.outcome),
         run_key=tuple(k for part in parts for k in part.run_key),
@@ -130,12 +185,13 @@ def read_description(path: Path) -> dict[str, str]:
 def _read_one(path: Path) -> Runs:
     check_digest(read_description(path)["table_digest"], subject=str(path))
     table = pq.read_table(path)
-    missing = {"run_key", "section_id", "outcome", *LABEL_COLUMNS, *FEATURE_NAMES} - set(table.column_names)
+    missing = {*_WORD_COLUMNS, *LABEL_COLUMNS, *FEATURE_NAMES} - set(table.column_names)
     if missing:
         raise DatasetError(f"{path} lacks the columns {sorted(missing)}")
     return Runs(
         features=np.column_stack([table[name].to_numpy() for name in FEATURE_NAMES]).astype(np.float64),
         labels={name: table[name].to_numpy().astype(np.float64) for name in LABEL_COLUMNS},
+        scenario=tuple(table["scenario"].to_pylist()),
         section_id=tuple(table["section_id"].to_pylist()),
         outcome=tuple(table["outcome"].to_pylist()),
         run_key=tuple(table["run_key"].to_pylist()),

@@ -1,7 +1,8 @@
-"""Named designs: which roads are driven at which friction by how many vehicles.
+"""What a design is made of: scenarios, each driven at every base friction, and the plan of every run in it.
 
-A run depends on its key and the design's seed alone. Adding roads or vehicles to a design changes no run that was in
-it before, and any run can be driven again by itself.
+A run depends on its key and the design's seed alone. Adding scenarios or vehicles to a design changes no run that was
+in it before, and any run can be driven again by itself. The key does not name the sensors: with the same seed, ideal
+and automotive sensors watch the same drives.
 """
 
 from __future__ import annotations
@@ -12,54 +13,135 @@ from dataclasses import dataclass
 import numpy as np
 
 from roadgrip.section import RoadSection
-from training.random_roads import random_section
+from training.advice_following import draw_advised_plan
+from training.friction_profiles import two_frictions
+from training.manoeuvres import StraightCase, draw_extreme_plan, draw_straight_plan
+from vehicle_client.estimation.vehicle_geometry import XC90 as XC90_GEOMETRY
+from vehicle_client.estimation.vehicle_geometry import VehicleGeometry
+from vehicle_client.simulator.amplitudes import SENSORS
+from vehicle_client.simulator.map_error import map_as_surveyed
 from vehicle_client.simulator.plan import DriverKind, PassagePlan, SensorGrade, draw_plan
+from vehicle_client.simulator.variation import draw_vehicle, geometry_of
+from vehicle_client.simulator.vehicle import XC90, Vehicle
 
-BASE_FRICTIONS_MU = tuple(round(0.20 + 0.05 * i, 2) for i in range(11))
-"""The paper's test matrix: 0.2 to 0.7 in steps of 0.05."""
 WITH_GNSS_FRAC = 0.75
 """Share of the vehicles that have position fixes; the others match the map by their motion."""
-SHARD_RUNS_COUNT = 10
-"""Runs per base friction in one shard: a few seconds of work, so that little is lost to a kill."""
+ATTEMPTS_PER_KEPT_RUN_COUNT = 20
+"""How often a cell is tried per run that it shall keep before it is called infeasible."""
 
 
 @dataclass(frozen=True, slots=True)
-class Road:
-    """One road of a design.
+class Quota:
+    """When a cell has enough.
 
     Attributes:
-        section: Its map.
-        runs_count: Vehicles per base friction.
+        attempts_limit_count: No more are made.
+        kept_count: The cell ends with the attempt that gives this many kept runs; None: with the last attempt.
     """
 
+    attempts_limit_count: int
+    kept_count: int | None = None
+
+
+def kept(runs_count: int) -> Quota:
+    """Return the paper's rule: so many runs that gave a summary, or the cell is infeasible after 20 times as many."""
+    return Quota(ATTEMPTS_PER_KEPT_RUN_COUNT * runs_count, runs_count)
+
+
+def attempted(runs_count: int) -> Quota:
+    """Return the plain rule: so many runs, however they end."""
+    return Quota(runs_count)
+
+
+@dataclass(frozen=True, slots=True)
+class Scenario:
+    """One way of driving one road.
+
+    Attributes:
+        name: Part of every run's key; one of its kind in the design.
+        section: The road.
+        quota: How many runs at each base friction.
+        two_frictions: Whether the friction drops along the road instead of being the same all over.
+        varied_vehicles: Whether every run has a car of its own instead of the paper's.
+        compliance_frac: Share of the drivers who follow the advisory; None where nobody is advised.
+        extreme: Whether test drivers drive, as fast as the surface lets them, every other one without stability
+            systems.
+        straight_case: What the pedals do, on the straight section.
+        drawn_as: Scenarios with the same word here have the same drivers, tyres and surfaces, run by run; None: its
+            own name.
+    """
+
+    name: str
     section: RoadSection
-    runs_count: int
+    quota: Quota
+    two_frictions: bool = False
+    varied_vehicles: bool = False
+    compliance_frac: float | None = None
+    extreme: bool = False
+    straight_case: StraightCase | None = None
+    drawn_as: str | None = None
+
+    @property
+    def identity(self) -> str:
+        """All that shapes the runs of the scenario besides code, seed and friction, as text."""
+        way = (
+            self.two_frictions,
+            self.varied_vehicles,
+            self.compliance_frac,
+            self.extreme,
+            str(self.straight_case),
+            self.drawn_as,
+        )
+        return f"{self.name}|{self.section.section_id}|{self.section.version}|{way}"
+
+
+@dataclass(frozen=True, slots=True)
+class Terms:
+    """What all runs of a design share.
+
+    Attributes:
+        design_name: Part of every run's key.
+        seed: Changes every run.
+        sensor_grade: Which sensors the vehicles carry.
+        driver_kind: What their drivers go by.
+    """
+
+    design_name: str
+    seed: int
+    sensor_grade: SensorGrade
+    driver_kind: DriverKind = DriverKind.PRUDENT
 
 
 @dataclass(frozen=True, slots=True)
 class Design:
-    """A set of runs.
+    """A set of cells: each scenario at each base friction.
 
     Attributes:
-        name: Part of every run's key.
-        roads: What is driven.
-        base_frictions_mu: Each road is driven at each of them.
-        sensor_grade: Which sensors the vehicles carry.
-        driver_kind: What their drivers go by.
-        seed: Changes every run.
+        terms: What all runs share.
+        scenarios: What is driven.
+        base_frictions_mu: Each scenario is driven at each of them.
     """
 
-    name: str
-    roads: tuple[Road, ...]
+    terms: Terms
+    scenarios: tuple[Scenario, ...]
     base_frictions_mu: tuple[float, ...]
-    sensor_grade: SensorGrade
-    driver_kind: DriverKind
-    seed: int
+
+    def __post_init__(self) -> None:
+        names = [scenario.name for scenario in self.scenarios]
+        if len(set(names)) < len(names):
+            raise ValueError(f"two scenarios of one name: {sorted({n for n in names if names.count(n) > 1})}")
 
     @property
-    def runs_count(self) -> int:
-        """All runs of the design."""
-        return sum(road.runs_count for road in self.roads) * len(self.base_frictions_mu)
+    def name(self) -> str:
+        """Name of the design."""
+        return self.terms.design_name
+
+    @property
+    def identity(self) -> str:
+        """Sixteen hexadecimal characters that change with everything that changes the table, but for the code."""
+        parts = [str(self.terms), str(self.base_frictions_mu)]
+        parts += [f"{scenario.identity}|{scenario.quota}" for scenario in self.scenarios]
+        return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:16]
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,141 +150,84 @@ class Run:
 
     Attributes:
         key: Its name; with the design's seed it fixes everything random in it.
+        number: Which attempt of its cell it is, from 0.
         plan: What is driven.
+        geometry: What the car's onboard client knows of it.
     """
 
     key: str
+    number: int
     plan: PassagePlan
+    geometry: VehicleGeometry
 
 
-@dataclass(frozen=True, slots=True)
-class Shard:
-    """Runs on one road that are driven and stored together.
-
-    Attributes:
-        design: What it is a part of.
-        road_index: Its road.
-        first_run: Number of its first vehicle at each base friction.
-        last_run: One beyond its last.
-    """
-
-    design: Design
-    road_index: int
-    first_run: int
-    last_run: int
-
-    @property
-    def section(self) -> RoadSection:
-        """The road it is driven on."""
-        return self.design.roads[self.road_index].section
-
-    @property
-    def runs_count(self) -> int:
-        """Number of its runs."""
-        return (self.last_run - self.first_run) * len(self.design.base_frictions_mu)
-
-    @property
-    def name(self) -> str:
-        """Name of its file: changes with everything that changes its runs, but for the code that drives them."""
-        design = self.design
-        text = "|".join(
-            [
-                design.name,
-                str(design.seed),
-                design.sensor_grade.value,
-                design.driver_kind.value,
-                self.section.version,
-                ",".join(f"{mu:.3f}" for mu in design.base_frictions_mu),
-            ]
-        )
-        digest = hashlib.sha256(text.encode()).hexdigest()[:8]
-        return f"{self.section.section_id}-{self.first_run:05d}-{self.last_run:05d}-{digest}"
-
-
-def paper_roads_design(
-    sections: tuple[RoadSection, ...],
-    *,
-    runs_count: int,
-    sensor_grade: SensorGrade,
-    seed: int,
-    driver_kind: DriverKind = DriverKind.PRUDENT,
-) -> Design:
-    """Return the paper's test matrix on its roads, with so many vehicles per road and base friction."""
-    return Design(
-        name="paper-roads",
-        roads=tuple(Road(section, runs_count) for section in sections),
-        base_frictions_mu=BASE_FRICTIONS_MU,
-        sensor_grade=sensor_grade,
-        driver_kind=driver_kind,
-        seed=seed,
-    )
-
-
-def mixed_design(
-    sections: tuple[RoadSection, ...],
-    *,
-    runs_count: int,
-    random_roads_count: int,
-    random_runs_count: int,
-    sensor_grade: SensorGrade,
-    seed: int,
-    driver_kind: DriverKind = DriverKind.PRUDENT,
-) -> Design:
-    """Return given roads with many vehicles each and random roads with a few each.
+def run_of(terms: Terms, scenario: Scenario, *, base_friction_mu: float, number: int) -> Run:
+    """Return one attempt of a cell.
 
     Args:
-        sections: Roads the model shall know well.
-        runs_count: Vehicles per base friction on each of them.
-        random_roads_count: Number of random roads.
-        random_runs_count: Vehicles per base friction on each of those.
-        sensor_grade: Which sensors the vehicles carry.
-        seed: Changes every run and every random road.
-        driver_kind: What the drivers go by.
+        terms: Of its design.
+        scenario: Of its cell.
+        base_friction_mu: Of its cell.
+        number: Which attempt, from 0.
     """
-    known = tuple(Road(section, runs_count) for section in sections)
-    unknown = tuple(
-        Road(random_section(np.random.default_rng([seed, i]), section_id=f"random-{seed}-{i:04d}"), random_runs_count)
-        for i in range(random_roads_count)
-    )
-    return Design(
-        name="mixed",
-        roads=known + unknown,
-        base_frictions_mu=BASE_FRICTIONS_MU,
-        sensor_grade=sensor_grade,
-        driver_kind=driver_kind,
-        seed=seed,
-    )
+    key = f"{terms.design_name}/{scenario.name}/{base_friction_mu:.2f}/{number:05d}"
+    drawn_as = f"{terms.design_name}/{scenario.drawn_as or scenario.name}/{base_friction_mu:.2f}/{number:05d}"
+    vehicle, geometry = XC90, XC90_GEOMETRY
+    if scenario.varied_vehicles:
+        vehicle = draw_vehicle(chance(terms.seed, f"{drawn_as}|vehicle"))
+        geometry = geometry_of(vehicle)
+    plan = _plan(chance(terms.seed, drawn_as), terms, scenario, base_friction_mu=base_friction_mu, vehicle=vehicle)
+    return Run(key, number, plan, geometry)
 
 
-def shards_of(design: Design) -> tuple[Shard, ...]:
-    """Return the design cut into pieces of a few seconds' work; together they hold every run once."""
-    return tuple(
-        Shard(design, road_index, first, min(first + SHARD_RUNS_COUNT, road.runs_count))
-        for road_index, road in enumerate(design.roads)
-        for first in range(0, road.runs_count, SHARD_RUNS_COUNT)
-    )
-
-
-def runs_of(shard: Shard) -> tuple[Run, ...]:
-    """Return the runs of a shard, by base friction and number."""
-    return tuple(
-        _run(shard.design, shard.section, base_friction_mu=mu, number=number)
-        for mu in shard.design.base_frictions_mu
-        for number in range(shard.first_run, shard.last_run)
-    )
-
-
-def _run(design: Design, section: RoadSection, *, base_friction_mu: float, number: int) -> Run:
-    key = f"{design.name}/{design.sensor_grade.value}/{section.section_id}/{base_friction_mu:.2f}/{number:05d}"
-    entropy = int.from_bytes(hashlib.sha256(f"{design.seed}|{key}".encode()).digest()[:16], "big")
-    rng = np.random.default_rng(entropy)
-    with_gnss = bool(rng.random() < WITH_GNSS_FRAC)
-    plan = draw_plan(
+def _plan(
+    rng: np.random.Generator, terms: Terms, scenario: Scenario, *, base_friction_mu: float, vehicle: Vehicle
+) -> PassagePlan:
+    section, grade = scenario.section, terms.sensor_grade
+    with_gnss = bool(rng.random() < WITH_GNSS_FRAC) and bool(section.anchors)
+    if scenario.straight_case is not None:
+        return draw_straight_plan(
+            rng, case=scenario.straight_case, base_friction_mu=base_friction_mu, grade=grade, vehicle=vehicle
+        )
+    if scenario.extreme:
+        return draw_extreme_plan(rng, section=section, base_friction_mu=base_friction_mu, grade=grade, vehicle=vehicle)
+    profile = two_frictions(section, base_friction_mu=base_friction_mu) if scenario.two_frictions else None
+    if scenario.compliance_frac is None:
+        return draw_plan(
+            rng,
+            section=section,
+            base_friction_mu=base_friction_mu,
+            grade=grade,
+            kind=terms.driver_kind,
+            friction_profile=profile,
+            with_gnss=with_gnss,
+            vehicle=vehicle,
+        )
+    return draw_advised_plan(
         rng,
         section=section,
         base_friction_mu=base_friction_mu,
-        grade=design.sensor_grade,
-        kind=design.driver_kind,
+        compliance_frac=scenario.compliance_frac,
+        grade=grade,
+        kind=terms.driver_kind,
+        friction_profile=profile,
         with_gnss=with_gnss,
+        vehicle=vehicle,
     )
-    return Run(key, plan)
+
+
+def surveyed_map(terms: Terms, section: RoadSection) -> RoadSection:
+    """Return the map that all vehicles of a design have of a road: a survey's with automotive sensors, else the road.
+
+    Args:
+        terms: Of the design.
+        section: The road as it is.
+    """
+    rng = chance(terms.seed, f"map|{section.section_id}")
+    return map_as_surveyed(section, rng=rng, sensors=SENSORS[terms.sensor_grade])
+
+
+def chance(seed: int, purpose: str) -> np.random.Generator:
+    """Return the source of chance for one purpose of a design, such as one run."""
+    entropy = hashlib.sha256(f"{seed}|{purpose}".encode()).digest()[:16]
+    return np.random.default_rng(int.from_bytes(entropy, "big"))

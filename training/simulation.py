@@ -1,37 +1,45 @@
-"""Drives a design: shards of simulated passages, through the vehicle's own pipeline, into Parquet.
+"""Drives a design: shards of simulated and summarised passages become one table.
 
 Each shard becomes one file, whole or not at all; what is there already is not driven again, so a killed run goes on
 where it was. A shard says which code drove it: after an edit of simulator, onboard client or design it is driven anew.
-The result does not depend on the number of workers.
+The result does not depend on the number of workers. The data set appears in the folder when the design is finished.
 """
 
 from __future__ import annotations
 
-import multiprocessing
 import os
-from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor, as_completed
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
-from roadgrip.features import FEATURES, KINEMATIC_FEATURES, road_features
-from roadgrip.records import Rejected
-from roadgrip.units import FloatArray
+from roadgrip.units import BoolArray
 from training.code_identity import code_digest
-from training.dataset import COMPLETED, LABEL_COLUMNS, Runs, joined, read_description, read_runs, write_runs
-from training.scenarios import Design, Shard, runs_of, shards_of
-from vehicle_client.pipeline import summarise_passage
-from vehicle_client.simulator.run import Drive, simulate_passage
-
-DRIVING_MODULES = (
-    "training.simulation",
-    "training.scenarios",
-    "vehicle_client.pipeline",
-    "vehicle_client.simulator.run",
+from training.dataset import (
+    COMPLETED,
+    RUNS_FILE_NAME,
+    SHARDS_FOLDER_NAME,
+    Runs,
+    joined,
+    read_description,
+    read_outcomes,
+    read_runs,
+    write_runs,
 )
+from training.drive_files import DriveWriter
+from training.passage_rows import drive_shard
+from training.scenarios import Design
+from training.schedule import Counts, Shard, inside_quota, next_round, streams_of
+from training.workers import executor
+
+DRIVING_MODULES = ("training.passage_rows", "training.schedule")
 """Modules from which all that shapes a run is reached by imports."""
+DRIVES_FOLDER_NAME = "drives"
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,37 +47,16 @@ class Progress:
     """How far a design is driven.
 
     Attributes:
-        runs_done_count: Runs whose shard is on disk.
-        runs_count: All runs.
+        attempts_count: Runs on disk.
+        driven_now_count: Runs among them that this call has driven.
+        done_count: What is done of `wanted_count`; a cell that came to its limit counts as done.
+        wanted_count: Runs that are asked for, over all cells.
     """
 
-    runs_done_count: int
-    runs_count: int
-
-
-def drive_shard(shard: Shard) -> Runs:
-    """Return the runs of a shard, driven and summarised; failed ones keep their outcome and have NaN features."""
-    road = road_features(shard.section)
-    rows, keys, outcomes = [], [], []
-    labels: dict[str, list[float]] = {name: [] for name in LABEL_COLUMNS}
-    for run in runs_of(shard):
-        drive = simulate_passage(shard.section, run.plan)
-        values, outcome = _summarise(drive, shard)
-        rows.append(np.concatenate([values, road]))
-        keys.append(run.key)
-        outcomes.append(outcome)
-        labels["label_mu"].append(drive.label_mu)
-        labels["base_friction_mu"].append(run.plan.base_friction_mu)
-        labels["wear_ratio"].append(run.plan.wear_factor)
-        labels["esc_active_frac"].append(drive.esc_active_frac)
-        labels["peak_utilisation_ratio"].append(drive.peak_utilisation_ratio)
-    return Runs(
-        features=np.array(rows).reshape(-1, len(FEATURES)),
-        labels={name: np.array(values) for name, values in labels.items()},
-        section_id=(shard.section.section_id,) * len(keys),
-        outcome=tuple(outcomes),
-        run_key=tuple(keys),
-    )
+    attempts_count: int
+    driven_now_count: int
+    done_count: int
+    wanted_count: int
 
 
 def drive_design(
@@ -77,70 +64,174 @@ def drive_design(
     folder: Path,
     *,
     workers_count: int | None = None,
+    with_drives: bool = False,
+    provenance: Mapping[str, str] | None = None,
     on_progress: Callable[[Progress], None] | None = None,
 ) -> Runs:
     """Drive what is not driven yet of a design, or was driven by other code, and return all its runs.
 
+    The rows come by scenario, base friction and attempt. A cell with a quota ends with the attempt that gives the last
+    wanted run, or at its limit of attempts.
+
     Args:
         design: What to drive.
-        folder: Where the shards go; made if missing.
+        folder: Where the files go; made if missing.
         workers_count: Processes; as many as there are processors if None.
+        with_drives: Whether the full histories of all runs are kept too.
+        provenance: What else the data set shall say about its origin.
         on_progress: Called after every shard.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    shards = shards_of(design)
-    missing = [shard for shard in shards if not _is_driven(_path_of(shard, folder))]
-    done_count = design.runs_count - sum(shard.runs_count for shard in missing)
-
-    def report() -> None:
-        if on_progress is not None:
-            on_progress(Progress(done_count, design.runs_count))
-
-    report()
-    if missing:
-        # Spawned, not forked: the compiled drives and the linear algebra keep threads that do not survive a fork.
-        context = multiprocessing.get_context("spawn")
-        workers_count = min(workers_count or os.cpu_count() or 1, len(missing))
-        with ProcessPoolExecutor(workers_count, mp_context=context) as pool:
-            futures = {pool.submit(_drive_and_write, shard, folder): shard for shard in missing}
-            for future in as_completed(futures):
-                future.result()
-                done_count += futures[future].runs_count
-                report()
-    return joined([read_runs(_path_of(shard, folder)) for shard in shards])
-
-
-def _drive_and_write(shard: Shard, folder: Path) -> None:
-    design = shard.design
-    write_runs(
-        drive_shard(shard),
-        _path_of(shard, folder),
-        description={
-            "design": design.name,
-            "seed": str(design.seed),
-            "sensor_grade": design.sensor_grade.value,
-            "driver_kind": design.driver_kind.value,
-            "section_id": shard.section.section_id,
-            "map_version": shard.section.version,
-            "code_digest": code_digest(*DRIVING_MODULES),
-        },
-    )
+    started_s = time.monotonic()
+    (folder / SHARDS_FOLDER_NAME).mkdir(parents=True, exist_ok=True)
+    if with_drives:
+        (folder / DRIVES_FOLDER_NAME).mkdir(exist_ok=True)
+    whole, description = folder / RUNS_FILE_NAME, design_description(design)
+    finished = whole.exists() and description.items() <= read_description(whole).items()
+    if not finished:
+        whole.unlink(missing_ok=True)
+    journey = _Journey(design, folder, with_drives=with_drives, on_progress=on_progress)
+    journey.report()
+    workers_count = max(1, min(workers_count or os.cpu_count() or 1, len(journey.waiting)))
+    with executor(workers_count) as pool:
+        journey.drive(pool, at_once_count=2 * workers_count if workers_count > 1 else 1)
+    if finished and journey.driven_now_count == 0:
+        return read_runs(whole)
+    runs = _cut(journey.shards, [read_runs(journey.path_of(shard)) for shard in journey.shards], design)
+    timing = {
+        "wall_s": f"{time.monotonic() - started_s:.1f}",
+        "workers_count": str(workers_count),
+        "driven_now_count": str(journey.driven_now_count),
+        "dataset_digest": runs.digest(),
+    }
+    write_runs(runs, whole, description={**(provenance or {}), **description, **timing})
+    return runs
 
 
-def _is_driven(path: Path) -> bool:
-    """Return whether a shard is on disk, as the present code would drive it."""
-    return path.exists() and read_description(path).get("code_digest") == code_digest(*DRIVING_MODULES)
+def design_description(design: Design) -> dict[str, str]:
+    """Return what the files of a design say about their origin."""
+    quotas = {scenario.quota for scenario in design.scenarios}
+    quota = quotas.pop() if len(quotas) == 1 else None
+    return {
+        "design": design.name,
+        "design_identity": design.identity,
+        "seed": str(design.terms.seed),
+        "sensor_grade": design.terms.sensor_grade.value,
+        "driver_kind": design.terms.driver_kind.value,
+        "kept_wanted_count": str((quota and quota.kept_count) or ""),
+        "attempts_limit_count": str(quota.attempts_limit_count if quota else ""),
+        "code_digest": code_digest(*DRIVING_MODULES),
+    }
 
 
-def _path_of(shard: Shard, folder: Path) -> Path:
-    return folder / f"{shard.name}.parquet"
+class _Journey:
+    """What of a design is driven, and what is to be driven next."""
+
+    def __init__(
+        self, design: Design, folder: Path, *, with_drives: bool, on_progress: Callable[[Progress], None] | None
+    ) -> None:
+        self.shards: list[Shard] = []
+        self.driven_now_count = 0
+        self._design = design
+        self._folder = folder
+        self._with_drives = with_drives
+        self._on_progress = on_progress
+        self._streams = streams_of(design)
+        self._quotas = [cell.scenario.quota for cells in self._streams for cell in cells]
+        self._counts = [Counts() for _ in self._quotas]
+        self._stream_of_shard: dict[str, int] = {}
+        self._open_count = [0] * len(self._streams)
+        self.waiting = deque(shard for i in range(len(self._streams)) for shard in self._next_round(i))
+
+    def drive(self, pool: Executor, *, at_once_count: int) -> None:
+        """Drive all that is missing, round by round."""
+        description = design_description(self._design)
+        running: dict[Future[tuple[str, ...]], Shard] = {}
+        while self.waiting or running:
+            while self.waiting and len(running) < at_once_count:
+                shard = self.waiting.popleft()
+                if self._is_driven(shard):
+                    self._finish(shard, read_outcomes(self.path_of(shard)), driven_now=False)
+                    continue
+                drives_path = self._drives_path_of(shard) if self._with_drives else None
+                work = pool.submit(_drive_and_write, shard, self.path_of(shard), drives_path, description)
+                running[work] = shard
+            for work in wait(running, return_when=FIRST_COMPLETED).done:
+                self._finish(running.pop(work), work.result(), driven_now=True)
+
+    def report(self) -> None:
+        """Tell how far it is."""
+        if self._on_progress is None:
+            return
+        done, wanted = 0.0, 0
+        for quota, counts in zip(self._quotas, self._counts, strict=True):
+            wanted_here = quota.kept_count or quota.attempts_limit_count
+            tried_frac = counts.attempts_count / quota.attempts_limit_count
+            kept_frac = 0.0 if quota.kept_count is None else counts.kept_count / quota.kept_count
+            done += wanted_here * min(1.0, max(tried_frac, kept_frac))
+            wanted += wanted_here
+        attempts_count = sum(counts.attempts_count for counts in self._counts)
+        self._on_progress(Progress(attempts_count, self.driven_now_count, round(done), wanted))
+
+    def path_of(self, shard: Shard) -> Path:
+        """Return the file of a shard."""
+        return self._folder / SHARDS_FOLDER_NAME / f"{shard.name}.parquet"
+
+    def _finish(self, shard: Shard, outcomes: tuple[str, ...], *, driven_now: bool) -> None:
+        row = 0
+        for block in shard.blocks:
+            done = self._counts[block.cell_index]
+            kept_count = outcomes[row : row + block.attempts_count].count(COMPLETED)
+            self._counts[block.cell_index] = Counts(
+                done.attempts_count + block.attempts_count, done.kept_count + kept_count
+            )
+            row += block.attempts_count
+        self.shards.append(shard)
+        self.driven_now_count += shard.attempts_count if driven_now else 0
+        stream = self._stream_of_shard[shard.name]
+        self._open_count[stream] -= 1
+        if self._open_count[stream] == 0:
+            # Next in the row: a stream with many rounds should not be the only one left at the end.
+            self.waiting.extendleft(reversed(self._next_round(stream)))
+        self.report()
+
+    def _next_round(self, stream: int) -> tuple[Shard, ...]:
+        cells = self._streams[stream]
+        shards = next_round(self._design.terms, cells, [self._counts[cell.cell_index] for cell in cells])
+        self._open_count[stream] = len(shards)
+        self._stream_of_shard |= {shard.name: stream for shard in shards}
+        return shards
+
+    def _is_driven(self, shard: Shard) -> bool:
+        """Return whether a shard is on disk, as the present code would drive it."""
+        paths = [self.path_of(shard), *([self._drives_path_of(shard)] if self._with_drives else [])]
+        digest = code_digest(*DRIVING_MODULES)
+        return all(path.exists() and read_description(path).get("code_digest") == digest for path in paths)
+
+    def _drives_path_of(self, shard: Shard) -> Path:
+        return self._folder / DRIVES_FOLDER_NAME / f"{shard.name}.parquet"
 
 
-def _summarise(drive: Drive, shard: Shard) -> tuple[FloatArray, str]:
-    nothing = np.full(len(KINEMATIC_FEATURES), np.nan)
-    if not drive.completed:
-        return nothing, drive.outcome.value
-    result = summarise_passage(drive.trace, shard.section)
-    if isinstance(result, Rejected):
-        return nothing, f"rejected_{result.reason.value}"
-    return np.array(result.summary.values), COMPLETED
+def _drive_and_write(
+    shard: Shard, path: Path, drives_path: Path | None, description: dict[str, str]
+) -> tuple[str, ...]:
+    if drives_path is None:
+        runs = drive_shard(shard)
+    else:
+        with DriveWriter(drives_path, description=description) as writer:
+            runs = drive_shard(shard, on_batch=writer.write)
+    write_runs(runs, path, description=description)
+    return runs.outcome
+
+
+def _cut(shards: list[Shard], parts: list[Runs], design: Design) -> Runs:
+    """Return the rows of a design from those of its shards: in order, and none beyond a cell's last wanted run."""
+    runs = joined(parts)
+    cell = np.concatenate([np.full(b.attempts_count, b.cell_index) for shard in shards for b in shard.blocks])
+    order = np.lexsort((runs.labels["attempt_number"], cell))
+    completed: BoolArray = np.array([outcome == COMPLETED for outcome in runs.outcome], dtype=np.bool_)[order]
+    ends = np.searchsorted(cell[order], np.arange(len(design.scenarios) * len(design.base_frictions_mu) + 1))
+    inside = [
+        inside_quota(completed[first:last], design.scenarios[i // len(design.base_frictions_mu)].quota.kept_count)
+        for i, (first, last) in enumerate(pairwise(ends.tolist()))
+    ]
+    return runs.rows(order[np.concatenate(inside)])

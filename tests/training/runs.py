@@ -19,6 +19,7 @@ def made_up_runs(count: int, *, seed: int = 0) -> Runs:
     return Runs(
         features=features,
         labels=labels,
+        scenario=tuple("abc"[i % 3] for i in range(count)),
         section_id=tuple("abc"[i % 3] for i in range(count)),
         outcome=tuple("left_road" if failed[i] else COMPLETED for i in range(count)),
         run_key=tuple(f"made-up/{i:05d}" for i in range(count)),
@@ -28,10 +29,4 @@ def made_up_runs(count: int, *, seed: int = 0) -> Runs:
 def shuffled(runs: Runs, *, seed: int) -> Runs:
     """Return the same runs in another order."""
     order = np.random.default_rng(seed).permutation(len(runs))
-    return Runs(
-        features=runs.features[order],
-        labels={name: values[order] for name, values in runs.labels.items()},
-        section_id=tuple(runs.section_id[i] for i in order),
-        outcome=tuple(runs.outcome[i] for i in order),
-        run_key=tuple(runs.run_key[i] for i in order),
-    )
+    return runs.rows(order)

@@ -1,9 +1,7 @@
 from __future__ import annotations
 
-from collections import Counter
 from dataclasses import replace
 from math import inf
-from typing import Any
 
 import numpy as np
 import pytest
@@ -11,15 +9,10 @@ import pytest
 from roadgrip.section import RoadSection
 from roadgrip.sections import read_section
 from training.random_roads import LENGTH_RANGE_M, RADIUS_RANGE_M, random_section
-from training.scenarios import (
-    BASE_FRICTIONS_MU,
-    Design,
-    mixed_design,
-    paper_roads_design,
-    runs_of,
-    shards_of,
-)
+from training.scenarios import Design, Run, Scenario, Terms, attempted, run_of, surveyed_map
 from vehicle_client.simulator.plan import DriverKind, SensorGrade
+
+TERMS = Terms("test", 1, SensorGrade.IDEAL)
 
 
 @pytest.fixture(scope="module")
@@ -27,60 +20,97 @@ def s_turn() -> RoadSection:
     return read_section("s-turn")
 
 
-def design_of(section: RoadSection, *, runs_count: int = 25, seed: int = 1) -> Design:
-    return paper_roads_design((section,), runs_count=runs_count, sensor_grade=SensorGrade.IDEAL, seed=seed)
+@pytest.fixture(scope="module")
+def scenario(s_turn: RoadSection) -> Scenario:
+    return Scenario("s-turn", s_turn, attempted(200))
 
 
-def test_the_papers_matrix_has_eleven_frictions_from_a_fifth_to_seven_tenths() -> None:
-    assert BASE_FRICTIONS_MU == (0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5, 0.55, 0.6, 0.65, 0.7)
+def runs(scenario: Scenario, *, terms: Terms = TERMS, count: int = 200, base_friction_mu: float = 0.3) -> list[Run]:
+    return [run_of(terms, scenario, base_friction_mu=base_friction_mu, number=number) for number in range(count)]
 
 
-def test_the_shards_of_a_design_hold_every_run_once(s_turn: RoadSection) -> None:
-    design = design_of(s_turn)
-    keys = Counter(run.key for shard in shards_of(design) for run in runs_of(shard))
-    assert len(keys) == design.runs_count == 25 * 11
-    assert set(keys.values()) == {1}
+def test_no_two_runs_of_a_design_share_their_chances(scenario: Scenario) -> None:
+    other = replace(scenario, name="other")
+    seeds = [run.plan.seed for one in (scenario, other) for mu in (0.3, 0.35) for run in _at(one, mu)]
+    assert len(set(seeds)) == len(seeds)
 
 
-def test_a_run_does_not_change_when_the_design_grows(s_turn: RoadSection) -> None:
-    few = {run.key: run.plan for shard in shards_of(design_of(s_turn, runs_count=3)) for run in runs_of(shard)}
-    many = {run.key: run.plan for shard in shards_of(design_of(s_turn, runs_count=40)) for run in runs_of(shard)}
-    assert all(many[key] == plan for key, plan in few.items())
+def _at(scenario: Scenario, mu: float) -> list[Run]:
+    return runs(scenario, count=20, base_friction_mu=mu)
 
 
-def test_another_seed_changes_every_run(s_turn: RoadSection) -> None:
-    one = [run.plan.seed for run in runs_of(shards_of(design_of(s_turn, seed=1))[0])]
-    other = [run.plan.seed for run in runs_of(shards_of(design_of(s_turn, seed=2))[0])]
-    assert not set(one) & set(other)
+def test_another_seed_changes_every_run(scenario: Scenario) -> None:
+    one = {run.plan.seed for run in runs(scenario, count=20)}
+    other = {run.plan.seed for run in runs(scenario, count=20, terms=replace(TERMS, seed=2))}
+    assert not one & other
 
 
-@pytest.mark.parametrize(
-    "changed",
-    [
-        {"name": "mixed"},
-        {"seed": 2},
-        {"sensor_grade": SensorGrade.AUTOMOTIVE},
-        {"driver_kind": DriverKind.REACTING},
-        {"base_frictions_mu": (0.2, 0.3)},
-    ],
-)
-def test_a_shard_with_other_runs_has_another_file(s_turn: RoadSection, changed: dict[str, Any]) -> None:
-    design = design_of(s_turn)
-    assert shards_of(replace(design, **changed))[0].name != shards_of(design)[0].name
+def test_other_sensors_see_the_same_runs(scenario: Scenario) -> None:
+    automotive = replace(TERMS, sensor_grade=SensorGrade.AUTOMOTIVE)
+    for ideal, real in zip(runs(scenario, count=20), runs(scenario, count=20, terms=automotive), strict=True):
+        assert real.key == ideal.key
+        assert replace(real.plan, sensor_grade=SensorGrade.IDEAL) == ideal.plan
 
 
-def test_a_shard_on_a_road_that_was_mapped_anew_has_another_file(s_turn: RoadSection) -> None:
-    anew = replace(s_turn, speed_limit_mps=s_turn.speed_limit_mps + 1.0)
-    assert shards_of(design_of(anew))[0].name != shards_of(design_of(s_turn))[0].name
+def test_a_reacting_driver_is_the_prudent_one_without_a_guess(scenario: Scenario) -> None:
+    reacting = runs(scenario, count=20, terms=replace(TERMS, driver_kind=DriverKind.REACTING))
+    assert {run.plan.driver.friction_guess_mu for run in reacting} == {inf}
+    for prudent, other in zip(runs(scenario, count=20), reacting, strict=True):
+        assert other.plan.target_speed_mps == prudent.plan.target_speed_mps
+        assert other.plan.driver._replace(friction_guess_mu=0.0) == prudent.plan.driver._replace(friction_guess_mu=0.0)
 
 
-def test_runs_are_planned_as_the_design_says(s_turn: RoadSection) -> None:
-    design = replace(design_of(s_turn), driver_kind=DriverKind.REACTING)
-    plans = [run.plan for shard in shards_of(design) for run in runs_of(shard)]
-    assert {plan.driver.friction_guess_mu for plan in plans} == {inf}  # a reacting driver guesses nothing
-    assert {plan.sensor_grade for plan in plans} == {SensorGrade.IDEAL}
-    # 275 vehicles, three quarters of them with position fixes: within four standard deviations.
-    assert sum(plan.with_gnss for plan in plans) / len(plans) == pytest.approx(0.75, abs=0.11)
+def test_three_quarters_of_the_vehicles_have_position_fixes(scenario: Scenario) -> None:
+    with_gnss = [run.plan.with_gnss for run in runs(scenario)]
+    # 200 vehicles: within four standard deviations.
+    assert np.mean(with_gnss) == pytest.approx(0.75, abs=0.13)
+
+
+def test_nobody_has_position_fixes_on_a_road_without_a_place_on_earth(scenario: Scenario) -> None:
+    nowhere = replace(scenario, section=replace(scenario.section, anchors=()))
+    assert not any(run.plan.with_gnss for run in runs(nowhere, count=20))
+
+
+def test_two_frictions_are_the_base_friction_and_a_higher_one(scenario: Scenario) -> None:
+    profile = runs(replace(scenario, two_frictions=True), count=1)[0].plan.friction_profile
+    assert profile is not None
+    assert profile.left_mu.min() == pytest.approx(0.3)
+    assert profile.left_mu.max() > 0.3
+
+
+def test_every_run_of_varied_vehicles_has_a_car_of_its_own_and_its_client_knows_its_wheels(scenario: Scenario) -> None:
+    varied = runs(replace(scenario, varied_vehicles=True), count=10)
+    assert len({run.plan.vehicle for run in varied}) == 10
+    assert [run.geometry.wheelbase_m for run in varied] == [run.plan.vehicle.wheelbase_m for run in varied]
+
+
+def test_who_follows_the_advice_at_one_compliance_follows_at_a_higher_one_and_the_rest_is_unchanged(
+    scenario: Scenario,
+) -> None:
+    def at(compliance_frac: float) -> list[Run]:
+        name = f"s-turn-{compliance_frac}"
+        return runs(replace(scenario, name=name, compliance_frac=compliance_frac, drawn_as="s-turn"), count=40)
+
+    none, half, all_follow = ([run.plan.target_speed_mps for run in at(share)] for share in (0.0, 0.5, 1.0))
+    assert all(some in {usual, told} for usual, some, told in zip(none, half, all_follow, strict=True))
+    assert len({*half} & {*none}) > 5
+    assert len({*half} & {*all_follow}) > 5
+    slowest = min(speed for speed in all_follow if speed is not None)
+    assert 0.4 * scenario.section.speed_limit_mps <= slowest < 0.8 * scenario.section.speed_limit_mps
+
+
+def test_all_vehicles_with_automotive_sensors_have_one_slightly_wrong_map(s_turn: RoadSection) -> None:
+    automotive = replace(TERMS, sensor_grade=SensorGrade.AUTOMOTIVE)
+    surveyed = surveyed_map(automotive, s_turn)
+    assert surveyed == surveyed_map(replace(automotive, design_name="other"), s_turn)
+    error = surveyed.cross_slope_ratio - s_turn.cross_slope_ratio
+    assert 0.0 < np.abs(error).max() < 0.03
+    assert surveyed_map(TERMS, s_turn) == s_turn
+
+
+def test_two_scenarios_of_one_name_are_refused(scenario: Scenario) -> None:
+    with pytest.raises(ValueError, match="s-turn"):
+        Design(TERMS, (scenario, scenario), (0.3,))
 
 
 def test_random_roads_stay_within_the_papers_range_of_risk() -> None:
@@ -90,19 +120,3 @@ def test_random_roads_stay_within_the_papers_range_of_risk() -> None:
         assert LENGTH_RANGE_M[0] - 1.0 <= section.length_m <= LENGTH_RANGE_M[1] + 1.0
         assert 0.85 * RADIUS_RANGE_M[0] <= section.tightest_radius_m <= RADIUS_RANGE_M[1]
         assert 20.0 / 3.6 - 0.01 <= section.speed_limit_mps <= 80.0 / 3.6 + 0.01
-
-
-def test_the_random_roads_of_a_design_are_the_same_each_time_and_differ_from_each_other(s_turn: RoadSection) -> None:
-    def versions() -> list[str]:
-        design = mixed_design(
-            (s_turn,),
-            runs_count=1,
-            random_roads_count=8,
-            random_runs_count=1,
-            sensor_grade=SensorGrade.IDEAL,
-            seed=4,
-        )
-        return [road.section.version for road in design.roads]
-
-    assert versions() == versions()
-    assert len(set(versions())) == 9

@@ -1,0 +1,111 @@
+"""What becomes of the runs of a shard: each is driven, goes through the vehicle's own pipeline, and leaves one row."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from itertools import groupby
+from math import isfinite
+
+import numpy as np
+
+from roadgrip.features import FEATURES, KINEMATIC_FEATURES, road_features
+from roadgrip.records import Rejected
+from roadgrip.section import RoadSection
+from roadgrip.units import SAMPLE_S, FloatArray
+from training.dataset import COMPLETED, LABEL_COLUMNS, Runs, joined
+from training.scenarios import Run, Scenario, surveyed_map
+from training.schedule import Shard, runs_of
+from vehicle_client.pipeline import summarise_passage
+from vehicle_client.simulator.drive import Drive
+from vehicle_client.simulator.run import simulate_passages
+
+BATCH_RUNS_COUNT = 32
+"""Drives that are simulated together; their full histories are in memory at once, about 2 MB each."""
+
+WatchDrives = Callable[[Sequence[Run], Sequence[Drive]], None]
+
+
+def drive_shard(shard: Shard, *, on_batch: WatchDrives | None = None) -> Runs:
+    """Return the runs of a shard, driven and summarised; failed ones keep their outcome and have NaN features.
+
+    Args:
+        shard: What to drive.
+        on_batch: Called with the full histories, some at a time.
+    """
+    parts = []
+    for _, group in groupby(shard.blocks, key=lambda block: block.scenario.name):
+        blocks = list(group)
+        scenario = blocks[0].scenario
+        road_map = surveyed_map(shard.terms, scenario.section)
+        runs = [run for block in blocks for run in runs_of(block, shard.terms)]
+        for first in range(0, len(runs), BATCH_RUNS_COUNT):
+            batch = runs[first : first + BATCH_RUNS_COUNT]
+            drives = simulate_passages(scenario.section, [run.plan for run in batch])
+            if on_batch is not None:
+                on_batch(batch, drives)
+            parts.append(rows_of(scenario, batch, drives, road_map=road_map))
+    return joined(parts)
+
+
+def rows_of(scenario: Scenario, runs: Sequence[Run], drives: Sequence[Drive], *, road_map: RoadSection) -> Runs:
+    """Return the rows of some driven runs of a scenario.
+
+    The road's features are those of the designed section: they come from the unit's map at run time, the same for
+    every vehicle, and a model for a road must know it under the figures that its unit holds.
+
+    Args:
+        scenario: What was driven.
+        runs: The runs. (n,)
+        drives: What became of them. (n,)
+        road_map: What the vehicles know of the road.
+    """
+    road = road_features(scenario.section)
+    rows, outcomes = [], []
+    for run, drive in zip(runs, drives, strict=True):
+        values, outcome = _summarised(run, drive, road_map)
+        rows.append(np.concatenate([values, road]))
+        outcomes.append(outcome)
+    labels = [_labels(scenario.section, run, drive) for run, drive in zip(runs, drives, strict=True)]
+    return Runs(
+        features=np.array(rows).reshape(-1, len(FEATURES)),
+        labels={name: np.array([one[name] for one in labels]) for name in LABEL_COLUMNS},
+        scenario=(scenario.name,) * len(rows),
+        section_id=(scenario.section.section_id,) * len(rows),
+        outcome=tuple(outcomes),
+        run_key=tuple(run.key for run in runs),
+    )
+
+
+def _labels(section: RoadSection, run: Run, drive: Drive) -> dict[str, float]:
+    plan, station = run.plan, drive.truth.station_m
+    inside = (station >= 0.0) & (station <= section.length_m)
+    duration_s = SAMPLE_S * float(np.count_nonzero(inside))
+    target_mps = section.speed_limit_mps if plan.target_speed_mps is None else plan.target_speed_mps
+    guess_mu = plan.driver.friction_guess_mu
+    return {
+        "label_mu": drive.label_mu,
+        "lowest_mu": drive.lowest_mu,
+        "base_friction_mu": plan.base_friction_mu,
+        "wear_ratio": plan.wear_factor,
+        "attempt_number": float(run.number),
+        "rated_speed_mps": section.speed_limit_mps,
+        "target_speed_mps": target_mps,
+        "mean_speed_mps": float(drive.truth.velocity_x_mps[inside].mean()) if inside.any() else np.nan,
+        "duration_s": duration_s,
+        "friction_guess_mu": guess_mu if isfinite(guess_mu) else np.nan,
+        "abs_active_frac": drive.abs_active_frac,
+        "tcs_active_frac": drive.tcs_active_frac,
+        "esc_active_frac": drive.esc_active_frac,
+        "peak_utilisation_ratio": drive.peak_utilisation_ratio,
+        "peak_sideslip_rad": drive.peak_sideslip_rad,
+    }
+
+
+def _summarised(run: Run, drive: Drive, road_map: RoadSection) -> tuple[FloatArray, str]:
+    nothing = np.full(len(KINEMATIC_FEATURES), np.nan)
+    if not drive.completed:
+        return nothing, drive.outcome.value
+    result = summarise_passage(drive.trace, road_map, vehicle=run.geometry)
+    if isinstance(result, Rejected):
+        return nothing, f"rejected_{result.reason.value}"
+    return np.array(result.summary.values), COMPLETED
