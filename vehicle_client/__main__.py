@@ -18,7 +18,8 @@ from rich.console import Console
 
 from roadgrip.errors import ConfigurationError, RoadgripError
 from vehicle_client.shell.replay import RecordingFormat
-from vehicle_client.simulator.plan import SensorGrade
+from vehicle_client.shell.single_drive import Evenness, StabilitySystem
+from vehicle_client.simulator.plan import REFERENCE_PRESSURE_BAR, DriverKind, SensorGrade
 
 if TYPE_CHECKING:
     from roadgrip.section import RoadSection
@@ -259,6 +260,32 @@ def drive(  # noqa: PLR0917 - typer reads options by name
     section: Section = "long-turn",
     rsu: Unit = DEFAULT_UNIT,
     base_friction: BaseFriction = 0.35,
+    second_friction: Annotated[
+        float | None,
+        typer.Option(min=0.05, max=1.2, help="What the road offers from the middle of the section on, if it changes."),
+    ] = None,
+    driver: Annotated[
+        DriverKind, typer.Option(help="`prudent` judges the surface by its looks, too; `reacting` by feeling alone.")
+    ] = DriverKind.PRUDENT,
+    speed_kmh: Annotated[
+        float | None,
+        typer.Option(
+            "--speed", metavar="KMH", min=10.0, max=200.0, help="What the driver likes where nothing holds him back."
+        ),
+    ] = None,
+    wear: Annotated[
+        float | None,
+        typer.Option(min=0.5, max=1.0, help="Share of the friction that worn tyres keep: 1 is new, 0.8 worn down."),
+    ] = None,
+    pressure_bar: Annotated[
+        float, typer.Option("--pressure", metavar="BAR", min=1.5, max=3.5, help="Of the tyres; less grips more.")
+    ] = REFERENCE_PRESSURE_BAR,
+    roughness: Annotated[
+        Evenness, typer.Option(help="Class of the surface by ISO 8608, from very good (`a`) to bad (`e`).")
+    ] = Evenness.A,
+    without: Annotated[
+        list[StabilitySystem] | None, typer.Option(help="Switch this stability system off. May be repeated.")
+    ] = None,
     sensors: Sensors = SensorGrade.AUTOMOTIVE,
     seed: Seed = 1,
     plot: Annotated[Path | None, typer.Option(help="Draw the drive into this file: .png, .svg or .pdf.")] = None,
@@ -269,11 +296,14 @@ def drive(  # noqa: PLR0917 - typer reads options by name
 ) -> None:
     """Simulate one drive and show what the car felt, what its sensors made of it, and what was true.
 
-    Needs no road side unit, unless the section is `rsu:ID`.
+    What is left open (wear, speed, the driver's habits) is drawn by the seed. Needs no road side unit, unless the
+    section is `rsu:ID`. A car that leaves the road or spins is shown as well, with exit code 0: it was simulated.
     """
+    from roadgrip.units import kph_to_mps
+    from vehicle_client.shell.drive_picture import draw_drive
     from vehicle_client.shell.keys import Keys
     from vehicle_client.shell.single_drive import (
-        draw_drive,
+        DriveOrder,
         drive_once,
         keep_trace,
         single_drive_table,
@@ -281,9 +311,21 @@ def drive(  # noqa: PLR0917 - typer reads options by name
     )
     from vehicle_client.shell.uplink import parse_unit_address
 
+    order = DriveOrder(
+        base_friction_mu=base_friction,
+        second_friction_mu=second_friction,
+        kind=driver,
+        speed_mps=None if speed_kmh is None else kph_to_mps(speed_kmh),
+        wear_factor=wear,
+        pressure_bar=pressure_bar,
+        evenness=roughness,
+        without=frozenset(without or ()),
+        grade=sensors,
+        seed=seed,
+    )
     road = asyncio.run(_section(section, parse_unit_address(rsu), Keys()))
     with Console(stderr=True).status("driving (the first time the simulator compiles, which takes a minute)"):
-        driven = drive_once(road, base_friction_mu=base_friction, grade=sensors, seed=seed)
+        driven = drive_once(road, order)
     if plot is not None:
         draw_drive(driven, road, plot)
     if trace is not None:

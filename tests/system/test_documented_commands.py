@@ -116,6 +116,15 @@ def test_the_page_on_vehicles_makes_a_drive_and_reads_it(project_root, tmp_path)
 
 
 @pytest.mark.system
+def test_the_page_on_vehicles_draws_two_drives(project_root, tmp_path):
+    printed = run(block_with(project_root / "docs" / "vehicle.md", "--second-friction"), tmp_path)
+    kept, spun = printed.split("picture: drive.png")
+    assert "completed" in kept
+    assert "spun at" in spun
+    assert all((tmp_path / name).stat().st_size > 0 for name in ("drive.png", "spun.png"))
+
+
+@pytest.mark.system
 def test_the_page_on_sections_lists_and_draws(project_root, tmp_path):
     block = block_with(project_root / "docs" / "sections.md", "section list")
     shown = run("".join(line + "\n" for line in block.splitlines() if "import" not in line), tmp_path)
