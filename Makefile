@@ -26,7 +26,7 @@ PLACES := roadgrip rsu_app vehicle_client training migrations tests bench deploy
 CODE := $(foreach place,$(PLACES),$(if $(shell find $(place) -name '*.py' -print -quit 2>/dev/null),$(place)))
 
 .PHONY: help setup demo real-input test test-long test-fast coverage check format-check format lint types contracts bench lock \
-        bundle wheel hooks clean
+        bundle paper-design wheel hooks clean
 
 help: ## List the chores
 	@awk 'BEGIN {FS = ":.*## "} /^[a-z][a-z-]*:.*## / {printf "  make %-13s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -108,6 +108,16 @@ lock: $(STAMP) ## Remake the hashed locks, one per role (UPGRADE=1 takes newer v
 
 bundle: $(STAMP) ## Remake the default model bundle from simulated drives
 	@$(BIN)/roadgrip-train default-bundle $(ARGS)
+
+# Prudent drivers under both grades of sensors, which watch the same drives, and reacting ones.
+RUNS ?= 1000
+OUT ?= docs/results/simulator
+DESIGN_FOLDERS := $(foreach way,prudent-automotive prudent-ideal reacting-ideal,build/paper-design/$(RUNS)/$(way))
+paper-design: $(STAMP) ## Drive the paper's test matrix, 3 x 44,000 kept runs, and write its table of cells (RUNS=20 OUT=build/small)
+	@for folder in $(DESIGN_FOLDERS); do way=$${folder##*/}; \
+	  $(BIN)/roadgrip-train simulate --design paper --runs $(RUNS) --driver $${way%-*} --sensors $${way#*-} --out $$folder; done
+	@$(BIN)/roadgrip-train cells $(DESIGN_FOLDERS) --out $(OUT)/paper_design.json --plot $(OUT)/paper_design.svg >/dev/null
+	@echo "$(OUT)/paper_design.json, .svg"
 
 wheel: $(STAMP) ## Build dist/roadgrip-*.whl
 	@rm -rf dist && $(BIN)/python -m build --no-isolation --wheel .

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from roadgrip.units import FloatArray
 from training.cells import Cell
 
-_STYLE = {"svg.fonttype": "none", "svg.hashsalt": "roadgrip", "font.size": 8.0}
+_STYLE = {"svg.fonttype": "none", "svg.hashsalt": "roadgrip", "font.size": 8.0, "font.sans-serif": ["DejaVu Sans"]}
 _PANELS: tuple[tuple[str, Callable[[Cell], float]], ...] = (
     ("share of drives kept, %", lambda cell: 100.0 * cell.kept_frac),
     (
@@ -52,8 +52,8 @@ def _draw_map(panel: Axes, cells: tuple[Cell, ...], value_of: Callable[[Cell], f
         text = "-" if np.isnan(values[i, j]) else f"{values[i, j]:.0f}{'' if cell.feasible else '*'}"
         dark = values[i, j] < 50.0
         panel.text(j, i, text, ha="center", va="center", color="white" if dark else "black")
-    panel.pcolormesh(np.arange(len(frictions)), np.arange(len(scenarios)), values, vmin=0.0, vmax=100.0, cmap="viridis")
+    panel.imshow(values, vmin=0.0, vmax=100.0, cmap="viridis", aspect="auto")
     panel.set_xticks(np.arange(len(frictions)), [f"{mu:.2f}" for mu in frictions])
     panel.set_yticks(np.arange(len(scenarios)), scenarios)
-    panel.invert_yaxis()
+    panel.tick_params(length=0.0)
     panel.set_xlabel("base friction")

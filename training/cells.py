@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
@@ -112,6 +113,16 @@ def to_json(cells: tuple[Cell, ...], *, origin: Mapping[str, str]) -> dict[str, 
         ],
         "cells": [_rounded(asdict(cell)) for cell in cells],
     }
+
+
+def to_text(document: Mapping[str, Any]) -> str:
+    """Return a document with tables of cells as JSON text with a line per cell, so that a difference can be read."""
+    designs = [{**design, "cells": []} for design in document["designs"]]
+    text = json.dumps({**document, "designs": designs}, indent=1, allow_nan=False)
+    for design in document["designs"]:
+        lines = ",\n".join(f"    {json.dumps(cell, allow_nan=False)}" for cell in design["cells"])
+        text = text.replace('"cells": []', f'"cells": [\n{lines}\n   ]', 1)
+    return text + "\n"
 
 
 def _cell(runs: Runs, rows: np.ndarray[tuple[int], np.dtype[np.intp]], *, kept_wanted_count: int | None) -> Cell:

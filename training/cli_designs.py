@@ -15,7 +15,7 @@ from rich.table import Column, Table
 
 from roadgrip.sections import read_section
 from training import simulation
-from training.cells import Cell, by_friction, cells_of, to_json
+from training.cells import Cell, by_friction, cells_of, to_json, to_text
 from training.dataset import RUNS_FILE_NAME, DatasetError, Runs, read_description, read_runs
 from training.designs import DESIGNS, Size, named_design, sections_design
 from training.machine import processor_model
@@ -167,6 +167,7 @@ def drive(design: Design, folder: Path, *, workers: int | None, command: str, ra
 
 def print_cells(runs: Runs, table: tuple[Cell, ...], *, title: str) -> None:
     """Print a row per cell, or per base friction where there are too many cells to read."""
+    infeasible = [f"{cell.scenario} at {cell.base_friction_mu:.2f}" for cell in table if not cell.feasible]
     if len(table) > _MOST_ROWS_COUNT:
         table = cells_of(by_friction(runs))
     names = ("base", "drives", "kept", "left road", "spun", "refused", "ESC", "grip used")
@@ -184,12 +185,16 @@ def print_cells(runs: Runs, table: tuple[Cell, ...], *, title: str) -> None:
             end_section=following is None or following.scenario != cell.scenario,
         )
     Console().print(shown)
+    if infeasible:
+        typer.echo(f"infeasible, {len(infeasible)} cells: {', '.join(infeasible)}")
 
 
 def title_of(folder: Path) -> str:
     """Return what a finished design's folder holds, in few words."""
     origin = _origin(folder)
-    return f"{origin['design']}, {origin['driver_kind']} drivers, {origin['sensor_grade']} sensors"
+    named = DESIGNS.get(origin["design"])
+    drivers = "test" if named is not None and named.test_drivers else origin["driver_kind"]
+    return f"{origin['design']}, {drivers} drivers, {origin['sensor_grade']} sensors"
 
 
 def _design(name: str | None, sections: list[Path], terms: Terms, size: Size) -> Design:
@@ -246,7 +251,7 @@ def _document(tables: dict[str, tuple[Path, tuple[Cell, ...]]]) -> dict[str, Any
 
 def _write_json(document: dict[str, Any], path: Path) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+    path.write_text(to_text(document), encoding="utf-8")
 
 
 def _warn_of_size(design: Design) -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from tests.training.runs import made_up_runs
 from training.cell_pictures import draw_cells
-from training.cells import by_friction, cells_of, to_json
+from training.cells import by_friction, cells_of, to_json, to_text
 from training.dataset import LABEL_COLUMNS, Runs
 
 OUTCOMES = (
@@ -88,7 +88,11 @@ def test_a_cell_with_fewer_kept_runs_than_were_asked_for_is_infeasible_and_liste
 
 def test_the_json_says_where_the_cells_come_from_and_holds_no_figure_that_json_does_not_know(runs: Runs) -> None:
     origin = {"seed": "7", "wall_s": "2.5", "dataset_digest": "1234567890123456", "kept_wanted_count": ""}
-    document = json.loads(json.dumps(to_json(cells_of(runs), origin=origin), allow_nan=False))
+    told = to_json(cells_of(runs), origin=origin)
+    text = to_text({"designs": [told, told]})
+    assert len(text.splitlines()) < 60
+    document, again = json.loads(text)["designs"]
+    assert document == again == told
     assert {name: document[name] for name in origin} == {
         "seed": 7,
         "wall_s": 2.5,
