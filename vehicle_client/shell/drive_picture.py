@@ -50,13 +50,13 @@ class Line(NamedTuple):
         name: As it stands above the panel; nothing there if empty.
         values: At every sample. (n,)
         colour: As the plotting library spells it.
-        width: In points.
+        broad: Whether it lies below the others, as the truth under its estimate.
     """
 
     name: str
     values: FloatArray
     colour: str
-    width: float = 1.2
+    broad: bool = False
 
 
 class Panel(NamedTuple):
@@ -65,12 +65,12 @@ class Panel(NamedTuple):
     Attributes:
         title: The quantity and its unit.
         lines: From the lowest to the topmost.
-        floor: Lower end of the axis; as the lines ask if None.
+        from_zero: Whether the axis begins there.
     """
 
     title: str
     lines: tuple[Line, ...]
-    floor: float | None = None
+    from_zero: bool = False
 
 
 def draw_drive(driven: SingleDrive, section: RoadSection, path: Path) -> None:
@@ -149,7 +149,7 @@ def motion_panels(driven: SingleDrive) -> tuple[Panel, ...]:
         ("sideslip, degrees", np.rad2deg(truth.sideslip_rad)),
     )
     if isinstance(driven.made, Rejected):
-        return tuple(Panel(title, (Line("", values, TRUE, 2.4),)) for title, values in true)
+        return tuple(Panel(title, (Line("", values, TRUE, broad=True),)) for title, values in true)
     signals = driven.made.signals
     estimated = (
         KPH_PER_MPS * signals.speed_mps,
@@ -159,7 +159,7 @@ def motion_panels(driven: SingleDrive) -> tuple[Panel, ...]:
         np.rad2deg(signals.sideslip_rad),
     )
     return tuple(
-        Panel(title, (Line("true", values, TRUE, 2.4), Line("estimated on board", guess, ESTIMATED, 1.0)))
+        Panel(title, (Line("true", values, TRUE, broad=True), Line("estimated on board", guess, ESTIMATED)))
         for (title, values), guess in zip(true, estimated, strict=True)
     )
 
@@ -177,8 +177,12 @@ def tyre_panels(truth: Truth, vehicle: Vehicle) -> tuple[Panel, ...]:
         ),
         Panel(
             "friction, and what is used of it",
-            (Line("there is", truth.friction_mu, TRUE, 2.4), Line("front", front, FRONT), Line("rear", rear, REAR)),
-            floor=0.0,
+            (
+                Line("there is", truth.friction_mu, TRUE, broad=True),
+                Line("front", front, FRONT),
+                Line("rear", rear, REAR),
+            ),
+            from_zero=True,
         ),
         Panel(
             "acceleration, m/s\u00b2",
@@ -187,7 +191,7 @@ def tyre_panels(truth: Truth, vehicle: Vehicle) -> tuple[Panel, ...]:
         Panel(
             "wheel loads, kN",
             tuple(Line(names[i], moving_mean(load_kn[:, i]), colours[i]) for i in range(4)),
-            floor=0.0,
+            from_zero=True,
         ),
     )
 
@@ -350,9 +354,9 @@ def _draw_panel(axes: Any, panel: Panel, driven: SingleDrive, section: RoadSecti
     station = driven.drive.truth.station_m
     _lay_road(axes, driven, section)
     for line in panel.lines:
-        axes.plot(station, line.values, color=line.colour, linewidth=line.width, label=line.name or "_")
-    if panel.floor is not None:
-        axes.set_ylim(panel.floor, 1.1 * max(float(line.values.max()) for line in panel.lines))
+        axes.plot(station, line.values, color=line.colour, linewidth=2.4 if line.broad else 1.1, label=line.name or "_")
+    if panel.from_zero:
+        axes.set_ylim(0.0, 1.1 * max(float(line.values.max()) for line in panel.lines))
     axes.set_title(panel.title, loc="left", fontsize=10, color=_INK)
     if any(line.name for line in panel.lines):
         axes.legend(
