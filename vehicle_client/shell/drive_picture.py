@@ -126,7 +126,7 @@ def _save_png(figure: Figure, path: Path) -> None:
     drawn = io.BytesIO()
     figure.savefig(drawn, format="png", dpi=DOTS_PER_INCH)
     # A page of few colours: with a palette it is a third as large.
-    palette = Image.open(drawn).convert("RGB").quantize(colors=255, method=Image.Quantize.MAXCOVERAGE)
+    palette = Image.open(drawn).convert("RGB").quantize(colors=255)
     palette.save(path, optimize=True)
 
 
