@@ -18,8 +18,10 @@ pytestmark = pytest.mark.sim
 
 LINEAR = Plane(4.0)
 """So much grip that the tyres answer in proportion."""
-UNRESISTED = XC90._replace(drag_npm2ps2_ratio=0.0, tyre=XC90.tyre._replace(rolling_resistance_ratio=0.0))
-"""Without air and rolling resistance."""
+UNRESISTED = XC90._replace(
+    drag_npm2ps2_ratio=0.0, steer_compliance_radpn=0.0, tyre=XC90.tyre._replace(rolling_resistance_ratio=0.0)
+)
+"""Without air and rolling resistance, and with a rigid steering."""
 MIRRORED_WHEELS = [1, 0, 3, 2]
 
 
@@ -155,6 +157,19 @@ def test_what_changes_momentum_is_the_force_of_the_tyres():
         motion.accel_y_mps2 - np.gradient(motion.velocity_y_mps, 0.01) - motion.yaw_rate_radps * motion.velocity_x_mps
     )
     assert np.abs(turned[2:-2]).max() < 0.02 * np.abs(motion.accel_y_mps2).max()
+
+
+def test_yaw_accelerates_as_the_moments_of_the_tyre_forces_say():
+    # Braking on split friction with straight wheels: longitudinal forces turn the car, lateral ones hold it.
+    plane = Plane(0.9, right_friction_mu=0.3)
+    pedal = -6.0 * np.clip(0.01 * np.arange(80) / 0.3, 0.0, 1.0)
+    motion = drive_open_loop(plane, speed_mps=25.0, steer_rad=steady(0.8, 0.0), accel_mps2=pedal, step_s=0.0005)
+    x = np.array([XC90.front_axle_m] * 2 + [-XC90.rear_axle_m] * 2)
+    y = 0.5 * np.array([XC90.front_track_m, -XC90.front_track_m, XC90.rear_track_m, -XC90.rear_track_m])
+    moment = (motion.wheel_force_y_n * x - motion.wheel_force_x_n * y).sum(1)
+    turned = np.gradient(motion.yaw_rate_radps, 0.01) * XC90.yaw_inertia_kgm2
+    assert np.abs(motion.wheel_force_x_n @ y).max() > 1_500.0
+    assert np.abs(turned - moment)[2:-2].max() < 0.02 * np.abs(motion.wheel_force_x_n @ y).max()
 
 
 @pytest.mark.parametrize("systems", [NO_SYSTEMS, ALL_SYSTEMS])
