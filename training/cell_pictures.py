@@ -26,18 +26,20 @@ _PANELS: tuple[tuple[str, Callable[[Cell], float]], ...] = (
 def draw_cells(tables: Mapping[str, tuple[Cell, ...]], path: Path) -> None:
     """Write a picture of the cells of some data sets, a row for each: scenarios over base frictions.
 
+    Infeasible cells have a star.
+
     Args:
         tables: Cells by the title of their data set.
         path: The file; its ending names the format. An SVG is the same for the same cells, byte for byte.
     """
-    heights = [1.0 + 0.32 * len({cell.scenario for cell in cells}) for cells in tables.values()]
+    heights = [1.2 + 0.32 * len({cell.scenario for cell in cells}) for cells in tables.values()]
     with rc_context(_STYLE):
         figure = Figure(figsize=(11.0, 0.4 + sum(heights)), layout="constrained")
         axes = figure.subplots(len(tables), len(_PANELS), squeeze=False, height_ratios=heights)
         for row, (title, cells) in zip(axes, tables.items(), strict=True):
             for panel, (what, value_of) in zip(row, _PANELS, strict=True):
                 _draw_map(panel, cells, value_of)
-                panel.set_title(f"{title}: {what}")
+                panel.set_title(f"{title}\n{what}")
         figure.savefig(path, metadata={"Date": None} if path.suffix == ".svg" else None)
 
 
@@ -48,7 +50,6 @@ def _draw_map(panel: Axes, cells: tuple[Cell, ...], value_of: Callable[[Cell], f
     for cell in cells:
         i, j = scenarios.index(cell.scenario), frictions.index(cell.base_friction_mu)
         values[i, j] = value_of(cell)
-        # An infeasible cell is marked by a star.
         text = "-" if np.isnan(values[i, j]) else f"{values[i, j]:.0f}{'' if cell.feasible else '*'}"
         dark = values[i, j] < 50.0
         panel.text(j, i, text, ha="center", va="center", color="white" if dark else "black")

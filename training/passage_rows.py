@@ -1,9 +1,9 @@
-"""What becomes of the runs of a shard: each is driven, goes through the vehicle's own pipeline, and leaves one row."""
+"""What becomes of runs: each is driven, goes through the vehicle's own pipeline, and leaves one row of the table."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from itertools import groupby
+from itertools import groupby, pairwise
 from math import isfinite
 
 import numpy as np
@@ -11,10 +11,10 @@ import numpy as np
 from roadgrip.features import FEATURES, KINEMATIC_FEATURES, road_features
 from roadgrip.records import Rejected
 from roadgrip.section import RoadSection
-from roadgrip.units import SAMPLE_S, FloatArray
+from roadgrip.units import SAMPLE_S, BoolArray, FloatArray
 from training.dataset import COMPLETED, LABEL_COLUMNS, Runs, joined
-from training.scenarios import Run, Scenario, surveyed_map
-from training.schedule import Shard, runs_of
+from training.scenarios import Design, Run, Scenario, surveyed_map
+from training.schedule import Shard, inside_quota, runs_of
 from vehicle_client.pipeline import summarise_passage
 from vehicle_client.simulator.drive import Drive
 from vehicle_client.simulator.run import simulate_passages
@@ -45,6 +45,26 @@ def drive_shard(shard: Shard, *, on_batch: WatchDrives | None = None) -> Runs:
                 on_batch(batch, drives)
             parts.append(rows_of(scenario, batch, drives, road_map=road_map))
     return joined(parts)
+
+
+def table_of(design: Design, driven: Sequence[tuple[Shard, Runs]]) -> Runs:
+    """Return the table of a design: by scenario, base friction and attempt, and none beyond a cell's last wanted run.
+
+    Args:
+        design: The design.
+        driven: All its shards with their rows, in any order.
+    """
+    runs = joined([part for _, part in driven])
+    cell = np.concatenate([np.full(b.attempts_count, b.cell_index) for shard, _ in driven for b in shard.blocks])
+    order = np.lexsort((runs.labels["attempt_number"], cell))
+    completed: BoolArray = np.array([outcome == COMPLETED for outcome in runs.outcome], dtype=np.bool_)[order]
+    frictions_count = len(design.base_frictions_mu)
+    ends = np.searchsorted(cell[order], np.arange(len(design.scenarios) * frictions_count + 1))
+    inside = [
+        inside_quota(completed[first:last], design.scenarios[i // frictions_count].quota.kept_count)
+        for i, (first, last) in enumerate(pairwise(ends.tolist()))
+    ]
+    return runs.rows(order[np.concatenate(inside)])
 
 
 def rows_of(scenario: Scenario, runs: Sequence[Run], drives: Sequence[Drive], *, road_map: RoadSection) -> Runs:

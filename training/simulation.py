@@ -13,28 +13,24 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 
-import numpy as np
-
-from roadgrip.units import BoolArray
 from training.code_identity import code_digest
 from training.dataset import (
     COMPLETED,
     RUNS_FILE_NAME,
     SHARDS_FOLDER_NAME,
+    DatasetError,
     Runs,
-    joined,
     read_description,
     read_outcomes,
     read_runs,
     write_runs,
 )
 from training.drive_files import DriveWriter
-from training.passage_rows import drive_shard
+from training.passage_rows import drive_shard, table_of
 from training.scenarios import Design
-from training.schedule import Counts, Shard, inside_quota, next_round, streams_of
+from training.schedule import Counts, Shard, next_round, streams_of
 from training.workers import executor
 
 DRIVING_MODULES = ("training.passage_rows", "training.schedule")
@@ -86,7 +82,7 @@ def drive_design(
     if with_drives:
         (folder / DRIVES_FOLDER_NAME).mkdir(exist_ok=True)
     whole, description = folder / RUNS_FILE_NAME, design_description(design)
-    finished = whole.exists() and description.items() <= read_description(whole).items()
+    finished = description.items() <= _origin(whole).items()
     if not finished:
         whole.unlink(missing_ok=True)
     journey = _Journey(design, folder, with_drives=with_drives, on_progress=on_progress)
@@ -96,7 +92,7 @@ def drive_design(
         journey.drive(pool, at_once_count=2 * workers_count if workers_count > 1 else 1)
     if finished and journey.driven_now_count == 0:
         return read_runs(whole)
-    runs = _cut(journey.shards, [read_runs(journey.path_of(shard)) for shard in journey.shards], design)
+    runs = table_of(design, [(shard, read_runs(journey.path_of(shard))) for shard in journey.shards])
     timing = {
         "wall_s": f"{time.monotonic() - started_s:.1f}",
         "workers_count": str(workers_count),
@@ -205,10 +201,18 @@ class _Journey:
         """Return whether a shard is on disk, as the present code would drive it."""
         paths = [self.path_of(shard), *([self._drives_path_of(shard)] if self._with_drives else [])]
         digest = code_digest(*DRIVING_MODULES)
-        return all(path.exists() and read_description(path).get("code_digest") == digest for path in paths)
+        return all(_origin(path).get("code_digest") == digest for path in paths)
 
     def _drives_path_of(self, shard: Shard) -> Path:
         return self._folder / DRIVES_FOLDER_NAME / f"{shard.name}.parquet"
+
+
+def _origin(path: Path) -> dict[str, str]:
+    """Return what a file says of its origin; nothing if it is not there, or cut short by a power failure."""
+    try:
+        return read_description(path)
+    except DatasetError:
+        return {}
 
 
 def _drive_and_write(
@@ -221,17 +225,3 @@ def _drive_and_write(
             runs = drive_shard(shard, on_batch=writer.write)
     write_runs(runs, path, description=description)
     return runs.outcome
-
-
-def _cut(shards: list[Shard], parts: list[Runs], design: Design) -> Runs:
-    """Return the rows of a design from those of its shards: in order, and none beyond a cell's last wanted run."""
-    runs = joined(parts)
-    cell = np.concatenate([np.full(b.attempts_count, b.cell_index) for shard in shards for b in shard.blocks])
-    order = np.lexsort((runs.labels["attempt_number"], cell))
-    completed: BoolArray = np.array([outcome == COMPLETED for outcome in runs.outcome], dtype=np.bool_)[order]
-    ends = np.searchsorted(cell[order], np.arange(len(design.scenarios) * len(design.base_frictions_mu) + 1))
-    inside = [
-        inside_quota(completed[first:last], design.scenarios[i // len(design.base_frictions_mu)].quota.kept_count)
-        for i, (first, last) in enumerate(pairwise(ends.tolist()))
-    ]
-    return runs.rows(order[np.concatenate(inside)])

@@ -171,6 +171,15 @@ def test_only_what_this_very_code_has_driven_is_not_driven_again_and_the_result_
     assert seen[-1].driven_now_count == 0
 
 
+def test_a_file_that_a_power_failure_cut_short_is_driven_again(tmp_path: Path) -> None:
+    design = design_of(SHARP_TURN, frictions_mu=(0.5,))
+    whole = drive_design(design, tmp_path, workers_count=1)
+    for path in (tmp_path / "runs.parquet", *(tmp_path / "shards").iterdir()):
+        os.truncate(path, path.stat().st_size // 2)
+    assert drive_design(design, tmp_path, workers_count=1).digest() == whole.digest()
+    assert read_runs(tmp_path).digest() == whole.digest()
+
+
 def test_killed_in_the_middle_of_a_file_it_goes_on_and_gives_what_was_to_be_given(
     tmp_path: Path, project_root: Path
 ) -> None:
