@@ -31,8 +31,8 @@ EMPTY_NAMES = {"utils", "util", "helpers", "helper", "common", "misc", "manager"
 # The units a name may end with.
 UNITS = set(
     """
-    s ms hz 1ps m m2 m3 mm mps mps2 mps3 m2ps2 m2ps3 mprad 1pm 1pm2 1pm3 s2pm rad radps radps2 deg kph hour
-    kg kgm2 n nm npm nprad nspm nmprad nmsprad 1pn pa w k c bytes mb px
+    s ms hz bar 1ps m m2 m3 mm mps mps2 mps3 m2ps2 m2ps3 mprad 1pm 1pm2 1pm3 s2pm rad radps radps2 deg kph hour
+    kg kgm2 n nm npm nprad radpn nspm nmprad nmsprad 1pn pa w k c bytes mb px
     """.split()
 )
 # The last words that say a number has no dimension.

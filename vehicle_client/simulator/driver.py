@@ -10,40 +10,62 @@ References:
     driver steering behavior, Human Factors 20, 1978).
 """
 
-# ruff: noqa: PLR0917 - the compiler knows no keyword-only arguments
-
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
-from roadgrip.units import GRAVITY_MPS2, FloatArray
-from vehicle_client.simulator.chassis import (
+from roadgrip.units import GRAVITY_MPS2
+from vehicle_client.simulator.compilation import formula, kernel
+from vehicle_client.simulator.lanes import (
+    ACCEL_WISH,
+    AHEAD_CROSS_SLOPE,
+    AHEAD_CURVATURE,
+    ALLOWED_MPS,
     ANGLE,
-    CROSS_SLOPE,
+    ASKED_BRAKE_NM,
+    ASKED_DRIVE_NM,
+    BRAKE_FROM_M,
+    BRAKE_MPS2,
+    BRAKE_UNTIL_MPS,
     CURVATURE,
+    FELT_FORCE,
+    FELT_SLIDE,
     FORCE_X,
     FORCE_Y,
+    FRICTION,
+    GRADE,
+    GRADIENT,
+    GUESS_MU,
+    LANES,
+    NEEDED_MPS2,
     OFFSET,
+    ORDERED,
+    PEDALS_MPS2,
     SLIDE,
     STATION,
+    STEER,
+    STEER_WISH,
+    TARGET_MPS,
     VELOCITY_X,
     VELOCITY_Y,
     YAW_RATE,
+    YIELDED,
+    driver_at,
+    ramp_ratio,
+    vehicle_at,
 )
-from vehicle_client.simulator.compilation import kernel
-from vehicle_client.simulator.plan import Driver
-from vehicle_client.simulator.vehicle import Vehicle
 
-# State of mind: one array.
-GUESS_MU, FELT_SLIDE, FELT_FORCE, ACCEL_WISH, STEER_WISH = 0, 1, 2, 3, 4
-MIND_SIZE = 5
+if TYPE_CHECKING:
+    from roadgrip.units import FloatArray
+    from vehicle_client.simulator.vehicle import Vehicle
 
-_SCAN_M = 4.0
+SURE_MU = 1.2
+"""The guess of a driver who does not judge by looks, before he feels anything."""
 _FEELING_S = 0.12
 _DOUBT_S = 0.25
-_SURE_MU = 1.2
-_SLOWEST_MPS = 3.0
-_STRAIGHT_1PM = 1e-4
+_CLEAR_SLIDE = 0.1
+_NO_FURTHER_SLIDE = 3.0
 _PEDAL_S = 0.25
 _OVERDRIVE = 1.5
 
@@ -56,12 +78,14 @@ def understeer_gradient_s2pm(vehicle: Vehicle) -> float:
         vehicle: The car.
 
     References:
-        Mitschke and Wallentowitz: (m / L) (b / Cf - a / Cr) with the axles' cornering stiffnesses.
+        Mitschke and Wallentowitz: (m / L) (b / Cf - a / Cr) with the axles' cornering stiffnesses, and the compliance
+        of the steering times the lateral force of the front axle.
     """
     wheelbase = vehicle.front_axle_m + vehicle.rear_axle_m
     front = 0.5 * vehicle.mass_kg * GRAVITY_MPS2 * vehicle.rear_axle_m / wheelbase
     rear = 0.5 * vehicle.mass_kg * GRAVITY_MPS2 * vehicle.front_axle_m / wheelbase
-    return (1.0 / _slope_ratio(front, vehicle) - 1.0 / _slope_ratio(rear, vehicle)) / GRAVITY_MPS2
+    tyres = (1.0 / _slope_ratio(front, vehicle) - 1.0 / _slope_ratio(rear, vehicle)) / GRAVITY_MPS2
+    return tyres + vehicle.steer_compliance_radpn * 2.0 * front / GRAVITY_MPS2
 
 
 @kernel
@@ -70,165 +94,154 @@ def _slope_ratio(load_n: float, vehicle: Vehicle) -> float:
     return tyre.slope_y1_ratio + (tyre.slope_y2_ratio - tyre.slope_y1_ratio) * (load_n / tyre.nominal_load_n - 1.0)
 
 
-@kernel
-def scan_ahead(
-    lines: FloatArray,
-    start_m: float,
-    step_m: float,
-    station_m: float,
-    speed_mps: float,
-    guess_mu: float,
-    driver: Driver,
-) -> tuple[float, float]:
-    """Return the speed that the road ahead allows now, and the deceleration that it asks for.
-
-    Args:
-        lines: `track.Track.lines`.
-        start_m: Station of its first row.
-        step_m: Between its rows.
-        station_m: Where the car is.
-        speed_mps: How fast it goes.
-        guess_mu: What the driver thinks of the surface.
-        driver: The driver.
-
-    Returns:
-        Speed in m/s; deceleration in m/s2, zero where none is needed.
-    """
-    willing = min(driver.comfort_accel_mps2, driver.grip_share_ratio * guess_mu * GRAVITY_MPS2)
-    braking = min(driver.braking_mps2, max(0.5, 0.4 * guess_mu * GRAVITY_MPS2))
-    # Nearer than what he covers while his foot moves, there is nothing to plan.
-    nearest = max(2.0, 0.7 * speed_mps)
-    allowed = 1e4
-    needed = 0.0
-    distance = 0.0
-    while distance < driver.sight_m:
-        i = min(len(lines) - 1, int((station_m + distance - start_m) / step_m + 0.5))
-        curvature = lines[i, CURVATURE]
-        if abs(curvature) > _STRAIGHT_1PM:
-            helping = -GRAVITY_MPS2 * lines[i, CROSS_SLOPE] * (1.0 if curvature > 0.0 else -1.0)
-            safe = max(_SLOWEST_MPS**2, (willing + helping) / abs(curvature))
-            allowed = min(allowed, safe + 2.0 * braking * distance)
-            needed = max(needed, 0.5 * (speed_mps**2 - safe) / max(distance, nearest))
-        distance += _SCAN_M
-    return math.sqrt(allowed), needed
+@formula
+def willing_mps2(guess_mu: float, grip_share_ratio: float, comfort_accel_mps2: float) -> float:
+    """Return the lateral acceleration that a driver is willing to bear, by his guess of the surface."""
+    return min(comfort_accel_mps2, grip_share_ratio * guess_mu * GRAVITY_MPS2)
 
 
-@kernel
-def feel(mind: FloatArray, body: FloatArray, wheels: FloatArray, driver: Driver, sample_s: float) -> None:
+@formula
+def planned_braking_mps2(guess_mu: float, braking_mps2: float) -> float:
+    """Return the deceleration that a driver plans with, by his guess of the surface."""
+    return min(braking_mps2, max(0.5, 0.4 * guess_mu * GRAVITY_MPS2))
+
+
+@formula
+def feel(state: FloatArray, lane: int, sample_s: float) -> None:
     """Update what the driver feels, and lower his guess of the surface while the tyres slide.
 
     Args:
-        mind: State of mind; guess and feelings are updated.
-        body: State of the body.
-        wheels: State of the wheels.
-        driver: The driver.
+        state: Of all lanes.
+        lane: Which one.
         sample_s: Time since the last call.
     """
-    slide = max(0.5 * (wheels[0, SLIDE] + wheels[1, SLIDE]), 0.5 * (wheels[2, SLIDE] + wheels[3, SLIDE]))
-    force = math.sqrt(body[FORCE_X] ** 2 + body[FORCE_Y] ** 2)
-    mind[FELT_SLIDE] += (slide - mind[FELT_SLIDE]) * sample_s / _FEELING_S
-    mind[FELT_FORCE] += (force - mind[FELT_FORCE]) * sample_s / _FEELING_S
-    if mind[FELT_SLIDE] > driver.slide_feeling_ratio:
-        shown = max(0.05, mind[FELT_FORCE] / GRAVITY_MPS2)
-        if shown < mind[GUESS_MU]:
-            mind[GUESS_MU] += (shown - mind[GUESS_MU]) * sample_s / _DOUBT_S
+    driver = driver_at(state, lane)
+    front = state[SLIDE + lane] + state[SLIDE + LANES + lane]
+    rear = state[SLIDE + 2 * LANES + lane] + state[SLIDE + 3 * LANES + lane]
+    slide = min(0.5 * max(front, rear), _NO_FURTHER_SLIDE)
+    force = math.sqrt(state[FORCE_X + lane] ** 2 + state[FORCE_Y + lane] ** 2)
+    state[FELT_SLIDE + lane] += (slide - state[FELT_SLIDE + lane]) * sample_s / _FEELING_S
+    state[FELT_FORCE + lane] += (force - state[FELT_FORCE + lane]) * sample_s / _FEELING_S
+    sliding = _sliding_ratio(state[FELT_SLIDE + lane], driver.slide_feeling_ratio)
+    shown = max(0.05, state[FELT_FORCE + lane] / GRAVITY_MPS2)
+    state[GUESS_MU + lane] -= sliding * max(0.0, state[GUESS_MU + lane] - shown) * sample_s / _DOUBT_S
 
 
-@kernel
-def choose_pedals(
-    mind: FloatArray,
-    body: FloatArray,
-    lines: FloatArray,
-    start_m: float,
-    step_m: float,
-    target_mps: float,
-    driver: Driver,
-    sample_s: float,
-) -> None:
+@formula
+def _sliding_ratio(felt: float, threshold: float) -> float:
+    # How sure he is that the tyres slide.
+    return ramp_ratio(felt, threshold, threshold + _CLEAR_SLIDE)
+
+
+@formula
+def choose_pedals(state: FloatArray, lane: int, sample_s: float) -> None:
     """Update the acceleration that the driver's feet ask for.
 
     Args:
-        mind: State of mind; the wish is updated.
-        body: State of the body.
-        lines: `track.Track.lines`.
-        start_m: Station of its first row.
-        step_m: Between its rows.
-        target_mps: Speed he likes where nothing holds him back.
-        driver: The driver.
+        state: Of all lanes.
+        lane: Which one.
         sample_s: Time since the last call.
     """
-    speed = body[VELOCITY_X]
-    guess = mind[GUESS_MU]
-    allowed, needed = scan_ahead(lines, start_m, step_m, body[STATION], speed, guess, driver)
-    wish = min(2.0, 0.8 * (min(target_mps, allowed) - speed))
-    braking = min(driver.braking_mps2, max(0.5, 0.4 * guess * GRAVITY_MPS2))
-    if needed > 0.6 * braking:
-        wish = min(wish, -needed)
+    driver, vehicle = driver_at(state, lane), vehicle_at(state, lane)
+    speed, guess = state[VELOCITY_X + lane], state[GUESS_MU + lane]
+    until = state[BRAKE_UNTIL_MPS + lane]
+    due = 1.0 if state[STATION + lane] >= state[BRAKE_FROM_M + lane] else 0.0
+    # Whoever was ordered to slow down keeps the speed at which the order is fulfilled.
+    target = state[TARGET_MPS + lane]
+    target = min(target, until) if due > 0.0 and speed <= until else target
+    state[TARGET_MPS + lane] = target
+    ordered = due if target > until else 0.0
+    released = max(0.0, state[ORDERED + lane] - ordered)
+    state[ORDERED + lane] = ordered
+
+    wish = min(2.0, 0.8 * (min(target, state[ALLOWED_MPS + lane]) - speed))
+    needed = state[NEEDED_MPS2 + lane]
+    urgent = ramp_ratio(needed / planned_braking_mps2(guess, driver.braking_mps2), 0.5, 0.7)
+    wish -= urgent * max(0.0, wish + needed)
     # In a curve the brakes get what cornering leaves, by his guess; while he feels the car slide, very little.
-    left = 1.0 - min(1.0, (body[FORCE_Y] / (guess * GRAVITY_MPS2)) ** 2)
-    cap = min(4.0, max(1.0, 0.7 * guess * GRAVITY_MPS2)) * max(0.15, math.sqrt(left))
-    if mind[FELT_SLIDE] > driver.slide_feeling_ratio:
-        wish = min(wish, -0.3)
-        cap = min(cap, max(0.5, 0.3 * guess * GRAVITY_MPS2))
-    mind[ACCEL_WISH] += (max(-cap, wish) - mind[ACCEL_WISH]) * sample_s / _PEDAL_S
+    grip = guess * GRAVITY_MPS2
+    left = 1.0 - min(1.0, (state[FORCE_Y + lane] / grip) ** 2)
+    cap = min(4.0, max(1.0, 0.7 * grip)) * max(0.15, math.sqrt(left))
+    sliding = _sliding_ratio(state[FELT_SLIDE + lane], driver.slide_feeling_ratio)
+    wish -= sliding * max(0.0, wish + 0.3)
+    cap -= sliding * max(0.0, cap - max(0.5, 0.3 * grip))
+    before = state[ACCEL_WISH + lane] * (1.0 - released)
+    free = before + (max(-cap, wish) - before) * sample_s / _PEDAL_S
+    chosen = ordered * -state[BRAKE_MPS2 + lane] + (1.0 - ordered) * free
+    state[ACCEL_WISH + lane] = chosen
+    state[PEDALS_MPS2 + lane] += (chosen - state[PEDALS_MPS2 + lane]) * sample_s / (vehicle.brake_lag_s + sample_s)
 
 
-@kernel
-def choose_steering(
-    mind: FloatArray,
-    body: FloatArray,
-    lines: FloatArray,
-    start_m: float,
-    step_m: float,
-    front_mu: float,
-    gradient_s2pm: float,
-    vehicle: Vehicle,
-    driver: Driver,
-) -> None:
+@formula
+def press_pedals(state: FloatArray, lane: int, accel_mps2: float) -> None:
+    """Write the drive and brake torques that give an acceleration, air and grade allowed for.
+
+    Open differentials; a fixed share per axle. A released pedal brakes with the engine up to its limit, the brakes do
+    the rest.
+
+    Args:
+        state: Of all lanes; drive and brake torques are written.
+        lane: Which one.
+        accel_mps2: What the pedals ask for.
+    """
+    vehicle = vehicle_at(state, lane)
+    m, radius = vehicle.mass_kg, vehicle.tyre.rolling_radius_m
+    speed = state[VELOCITY_X + lane]
+    force = m * (accel_mps2 + GRAVITY_MPS2 * (state[GRADE + lane] + vehicle.tyre.rolling_resistance_ratio))
+    force += vehicle.drag_npm2ps2_ratio * speed * speed
+    # Near standstill the clutch opens.
+    engine_brake = m * vehicle.engine_brake_mps2 * ramp_ratio(speed, 0.5, 1.5)
+    drive = min(max(force, -engine_brake), vehicle.power_w / max(3.0, speed))
+    brake = min(max(0.0, drive - force), m * vehicle.brake_limit_mps2)
+    drive_nm, brake_nm = 0.5 * drive * radius, 0.5 * brake * radius
+    state[ASKED_DRIVE_NM + lane] = state[ASKED_DRIVE_NM + LANES + lane] = vehicle.front_drive_frac * drive_nm
+    state[ASKED_DRIVE_NM + 2 * LANES + lane] = (1.0 - vehicle.front_drive_frac) * drive_nm
+    state[ASKED_DRIVE_NM + 3 * LANES + lane] = (1.0 - vehicle.front_drive_frac) * drive_nm
+    state[ASKED_BRAKE_NM + lane] = state[ASKED_BRAKE_NM + LANES + lane] = vehicle.front_brake_frac * brake_nm
+    state[ASKED_BRAKE_NM + 2 * LANES + lane] = (1.0 - vehicle.front_brake_frac) * brake_nm
+    state[ASKED_BRAKE_NM + 3 * LANES + lane] = (1.0 - vehicle.front_brake_frac) * brake_nm
+
+
+@formula
+def choose_steering(state: FloatArray, lane: int) -> None:
     """Update the steering angle that the driver's hands ask for.
 
+    The friction under the front wheels sets only where the steering wheel goes light: he does not turn it further than
+    one and a half times the slip of the peak.
+
     Args:
-        mind: State of mind; the wish is updated.
-        body: State of the body.
-        lines: `track.Track.lines`.
-        start_m: Station of its first row.
-        step_m: Between its rows.
-        front_mu: Friction under the front wheels. It sets only where the steering wheel goes light: he does not turn
-            it further than one and a half times the slip of the peak.
-        gradient_s2pm: Understeer gradient of his car, which he knows.
-        vehicle: The car.
-        driver: The driver.
+        state: Of all lanes.
+        lane: Which one.
     """
+    driver, vehicle = driver_at(state, lane), vehicle_at(state, lane)
     wheelbase = vehicle.front_axle_m + vehicle.rear_axle_m
-    vx = max(1.0, body[VELOCITY_X])
-    ahead = body[STATION] + vx * (driver.steer_lag_s + 0.05)
-    p = min(max((ahead - start_m) / step_m, 0.0), len(lines) - 2.0)
-    i = int(p)
-    part = p - i
-    curvature = lines[i, CURVATURE] * (1.0 - part) + lines[i + 1, CURVATURE] * part
-    cross = lines[i, CROSS_SLOPE] * (1.0 - part) + lines[i + 1, CROSS_SLOPE] * part
-    wish = wheelbase * curvature + gradient_s2pm * (vx * vx * curvature + GRAVITY_MPS2 * cross)
+    gradient = state[GRADIENT + lane]
+    vx = max(1.0, state[VELOCITY_X + lane])
+    curvature, cross = state[AHEAD_CURVATURE + lane], state[AHEAD_CROSS_SLOPE + lane]
+    wish = wheelbase * curvature + gradient * (vx * vx * curvature + GRAVITY_MPS2 * cross)
 
     aim_m = max(4.0, vx * driver.preview_s)
-    drift = body[ANGLE] + body[VELOCITY_Y] / vx
-    gain = 2.0 * (wheelbase + max(0.0, gradient_s2pm) * vx * vx) / (aim_m * aim_m)
-    wish -= gain * (body[OFFSET] + aim_m * drift)
-    here = min(max(int((body[STATION] - start_m) / step_m + 0.5), 0), len(lines) - 1)
-    wish -= driver.yaw_damping_s_ratio * (body[YAW_RATE] - lines[here, CURVATURE] * vx)
+    drift = state[ANGLE + lane] + state[VELOCITY_Y + lane] / vx
+    gain = 2.0 * (wheelbase + max(0.0, gradient) * vx * vx) / (aim_m * aim_m)
+    wish -= gain * (state[OFFSET + lane] + aim_m * drift)
+    wish -= driver.yaw_damping_s_ratio * (state[YAW_RATE + lane] - state[CURVATURE + lane] * vx)
 
+    front_mu = 0.5 * (state[FRICTION + lane] + state[FRICTION + LANES + lane])
     light = _OVERDRIVE * front_mu * vehicle.tyre.peak_slip_y1_ratio / vehicle.tyre.peak_y1_ratio
-    rolling = (body[VELOCITY_Y] + vehicle.front_axle_m * body[YAW_RATE]) / vx
+    rolling = (state[VELOCITY_Y + lane] + vehicle.front_axle_m * state[YAW_RATE + lane]) / vx + state[YIELDED + lane]
     wish = min(max(wish, rolling - light), rolling + light)
-    mind[STEER_WISH] = min(max(wish, -vehicle.steer_limit_rad), vehicle.steer_limit_rad)
+    state[STEER_WISH + lane] = min(max(wish, -vehicle.steer_limit_rad), vehicle.steer_limit_rad)
 
 
-@kernel
-def sit_down(mind: FloatArray, driver: Driver) -> None:
-    """Write the state of mind of a driver who has just met the road.
+@formula
+def turn_wheel(state: FloatArray, lane: int, step_s: float) -> None:
+    """Advance the steering angle towards what the hands ask for, as fast as arms and steering gear let them.
 
     Args:
-        mind: Is overwritten.
-        driver: The driver.
+        state: Of all lanes.
+        lane: Which one.
+        step_s: Time step.
     """
-    mind[:] = 0.0
-    mind[GUESS_MU] = min(_SURE_MU, driver.friction_guess_mu)
+    limit = vehicle_at(state, lane).steer_rate_limit_radps
+    rate = (state[STEER_WISH + lane] - state[STEER + lane]) / (driver_at(state, lane).steer_lag_s + step_s)
+    state[STEER + lane] += min(max(rate, -limit), limit) * step_s

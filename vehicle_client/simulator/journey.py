@@ -1,64 +1,86 @@
-"""A whole drive in one compiled call: road, driver, stability control and car, from the approach to the exit."""
+"""Whole drives, `LANES` of them side by side: road, driver, stability systems and cars, from approach to exit.
+
+`drive` moves all lanes until at least one drive has ended. Whoever calls it takes that drive's log, may seat the next
+drive in the free lane, and calls again.
+"""
 
 # ruff: noqa: PLR0917 - the compiler knows no keyword-only arguments
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
-import numpy as np
-
-from roadgrip.units import GRAVITY_MPS2, SAMPLE_S, FloatArray
-from vehicle_client.simulator.chassis import (
+from roadgrip.units import SAMPLE_S
+from vehicle_client.simulator.chassis import advance, cosine, set_hubs, set_loads, sine
+from vehicle_client.simulator.compilation import cached_kernel, code_digest, formula, kernel
+from vehicle_client.simulator.driver import (
+    choose_pedals,
+    choose_steering,
+    feel,
+    press_pedals,
+    turn_wheel,
+)
+from vehicle_client.simulator.ground import look_ahead, look_at_road, look_before_wheels, look_up_height
+from vehicle_client.simulator.lanes import (
+    ABS_ACTIVE,
+    ACCEL_X,
+    ACCEL_Y,
+    ALLOWED_MPS,
     ANGLE,
-    BODY_SIZE,
-    BRAKE_NM,
+    APPROACH_M,
     CROSS_CHANGE,
     CROSS_SLOPE,
-    DRIVE_NM,
+    ESC_ACTIVE,
+    FINISH_M,
+    FORCE_X,
+    FORCE_Y,
     FRICTION,
     GRADE,
+    LAGGED_X,
+    LANES,
+    LINE_HEADING,
+    LINE_X,
+    LINE_Y,
     LOAD,
     OFFSET,
+    PACE,
+    PEDALS_MPS2,
+    REPORT,
+    REPORT_COUNT,
     ROAD_Z,
+    ROLL,
+    ROLL_RATE,
     SPIN,
     SPRUNG_V,
     SPRUNG_Z,
     STATION,
     STEER,
+    TARGET_MPS,
+    TCS_ACTIVE,
+    UNSPRUNG_Z,
     VELOCITY_X,
     VELOCITY_Y,
     WHEEL_FORCE_X,
     WHEEL_FORCE_Y,
-    WHEEL_SIZE,
-    advance,
-    set_loads,
+    WHEELS,
+    YAW_RATE,
+    vehicle_at,
 )
-from vehicle_client.simulator.compilation import cached_kernel, code_digest, kernel
-from vehicle_client.simulator.driver import (
-    ACCEL_WISH,
-    FELT_SLIDE,
-    GUESS_MU,
-    MIND_SIZE,
-    STEER_WISH,
-    choose_pedals,
-    choose_steering,
-    feel,
-    scan_ahead,
-    sit_down,
-    understeer_gradient_s2pm,
-)
-from vehicle_client.simulator.plan import Driver
-from vehicle_client.simulator.stability import ABS_ACTIVE, AIDS_SIZE, ESC_ACTIVE, TCS_ACTIVE, intervene, switch_on
-from vehicle_client.simulator.surface import GRID_M
-from vehicle_client.simulator.track import LEFT_MU
-from vehicle_client.simulator.vehicle import Vehicle
+from vehicle_client.simulator.stability import control_yaw, limit_braking, limit_drive, see_braking
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from roadgrip.units import FloatArray
+
+    CountArray = NDArray[np.int64]
+
 COMPLETED, LEFT_ROAD, SPUN, STOPPED, TIMED_OUT = 0, 1, 2, 3, 4
+RUNNING, IDLE = -1, -2
 
 ROAD_MARGIN_M = 2.5
 """A drive has left the road when the centre of gravity is further than this from the lane's centre line."""
@@ -67,251 +89,253 @@ SPIN_RAD = 0.8
 SLOWEST_MEAN_MPS = 2.5
 """A drive times out when it takes longer than at this mean speed."""
 STEP_S = 0.002
+GLANCE_SAMPLES = 5
+"""The driver looks down the road twenty times a second."""
+STANDSTILL_MPS = 0.3
 
-# Columns of the log: the body first, as in `chassis`.
-LOG_ROLL_RATE_ROAD, LOG_BANK, LOG_GRADE, LOG_NORMAL, LOG_SHAKE_ROLL, LOG_SHAKE_RATE = 14, 15, 16, 17, 18, 19
-LOG_ABS, LOG_TCS, LOG_ESC, LOG_GUESS, LOG_SLIDE = 20, 21, 22, 23, 24
-LOG_SPIN, LOG_LOAD, LOG_FORCE_X, LOG_FORCE_Y, LOG_FRICTION = 25, 29, 33, 37, 41
-LOG_SIZE = 45
+# Rows of the table of counts: one column per lane.
+SAMPLE, SAMPLES_LIMIT, LAST_LINE, LAST_HEIGHT, ENDING = 0, 1, 2, 3, 4
+COUNTS_SIZE = 5
 
-
-class Errand(NamedTuple):
-    """The numbers of one drive that are neither car nor driver.
-
-    Attributes:
-        start_m: Station of the first sample of the road.
-        step_m: Between samples of the road.
-        approach_m: The drive starts at the negative of this station.
-        finish_m: Station where the drive is complete.
-        target_mps: Speed the driver likes.
-        brake_from_m: Station where he is ordered to brake; infinite if he is not.
-        brake_mps2: Deceleration that the order asks for.
-        brake_until_mps: Speed at which the order is fulfilled, and the one he likes from there on.
-        abs_on: 1 with anti-lock braking, 0 without.
-        tcs_on: 1 with traction control, 0 without.
-        esc_on: 1 with yaw control, 0 without.
-        step_s: Time step.
-    """
-
-    start_m: float
-    step_m: float
-    approach_m: float
-    finish_m: float
-    target_mps: float
-    brake_from_m: float
-    brake_mps2: float
-    brake_until_mps: float
-    abs_on: float
-    tcs_on: float
-    esc_on: float
-    step_s: float
+# Columns of the log.
+LOG_STATION, LOG_OFFSET, LOG_LINE_X, LOG_LINE_Y, LOG_LINE_HEADING, LOG_ANGLE = 0, 1, 2, 3, 4, 5
+LOG_VELOCITY_X, LOG_VELOCITY_Y, LOG_YAW_RATE, LOG_ROLL, LOG_BANK = 6, 7, 8, 9, 10
+LOG_ACCEL_X, LOG_ACCEL_Y, LOG_STEER, LOG_FRICTION, LOG_UTILISATION = 11, 12, 13, 14, 15
+LOG_ABS, LOG_TCS, LOG_ESC = 16, 17, 18
+LOG_SENSED_FORCE, LOG_SENSED_RATE = 19, 22
+LOG_LOAD, LOG_FORCE_X, LOG_FORCE_Y, LOG_WHEEL_SPEED = 25, 29, 33, 37
 
 
 @kernel
-def look_at_road(
-    road: FloatArray,
-    wheels: FloatArray,
-    lines: FloatArray,
-    rough_m: FloatArray,
-    station_m: float,
-    errand: Errand,
-    vehicle: Vehicle,
-) -> None:
-    """Write the road under the vehicle and friction and height under its wheels.
+def _set_off(state: FloatArray, lane: int, lines: FloatArray, last_line: int) -> None:
+    """Place a car that has just been seated on the road, at the speed that the road allows."""
+    state[STATION + lane] = -state[APPROACH_M + lane]
+    look_ahead(state, lane, lines, last_line)
+    speed = min(state[TARGET_MPS + lane], state[ALLOWED_MPS + lane])
+    state[VELOCITY_X + lane] = state[PACE + lane] = speed
+    for corner in range(4):
+        wheel = corner * LANES + lane
+        state[SPIN + wheel] = speed / vehicle_at(state, wheel).tyre.rolling_radius_m
+
+
+@kernel
+def _settle(state: FloatArray, lane: int) -> None:
+    """Let a car that has just been placed rest on its springs."""
+    for corner in range(4):
+        wheel = corner * LANES + lane
+        state[SPRUNG_Z + wheel] = state[UNSPRUNG_Z + wheel] = state[ROAD_Z + wheel]
+    set_loads(state, lane)
+    set_hubs(state, lane)
+
+
+@kernel
+def _decide(state: FloatArray) -> None:
+    """Let drivers and control units of all lanes act on the present sample, and report it."""
+    for lane in range(LANES):
+        feel(state, lane, SAMPLE_S)
+        choose_pedals(state, lane, SAMPLE_S)
+        choose_steering(state, lane)
+        press_pedals(state, lane, state[PEDALS_MPS2 + lane])
+        control_yaw(state, lane, SAMPLE_S)
+        see_braking(state, lane)
+        report(state, lane)
+
+
+@kernel
+def _act(state: FloatArray, step_s: float) -> None:
+    """Let hands, engines and brakes of all lanes do what drivers and control units have decided."""
+    for lane in range(LANES):
+        turn_wheel(state, lane, step_s)
+        limit_drive(state, lane)
+    for wheel in range(WHEELS):
+        limit_braking(state, wheel)
+
+
+@formula
+def report(state: FloatArray, lane: int) -> None:
+    """Write what the log keeps of a sample.
+
+    Sensors sense in the axes of the body, which leans against the road.
 
     Args:
-        road: Is overwritten.
-        wheels: Columns FRICTION and ROAD_Z are written.
-        lines: `track.Track.lines`.
-        rough_m: Height of both wheel tracks every 0.1 m from the start of the road; empty for a plane. (k, 2)
-        station_m: Where the centre of gravity is.
-        errand: For start and step of the road.
-        vehicle: The car.
+        state: Of all lanes.
+        lane: Which one.
     """
-    p = (station_m - errand.start_m) / errand.step_m
-    last = len(lines) - 2.0
-    q = min(max(p, 0.0), last)
-    i = int(q)
-    part = q - i
-    for j in range(5):
-        road[j] = lines[i, j] + part * (lines[i + 1, j] - lines[i, j])
-    for axle in range(2):
-        ahead = vehicle.front_axle_m if axle == 0 else -vehicle.rear_axle_m
-        q = min(max(p + ahead / errand.step_m, 0.0), last)
-        i = int(q)
-        part = q - i
-        for side in range(2):
-            j = LEFT_MU + side
-            wheels[2 * axle + side, FRICTION] = lines[i, j] + part * (lines[i + 1, j] - lines[i, j])
-        if len(rough_m) > 0:
-            q = min(max((station_m + ahead - errand.start_m) / GRID_M, 0.0), len(rough_m) - 2.0)
-            i = int(q)
-            part = q - i
-            for side in range(2):
-                wheels[2 * axle + side, ROAD_Z] = rough_m[i, side] + part * (rough_m[i + 1, side] - rough_m[i, side])
+    vehicle = vehicle_at(state, lane)
+    front_left, front_right, rear_left, rear_right = lane, LANES + lane, 2 * LANES + lane, 3 * LANES + lane
+    angle = state[ANGLE + lane]
+    along, across = cosine(angle), sine(angle)
+    grade, cross = state[GRADE + lane], state[CROSS_SLOPE + lane]
+    bank = _arc_tangent(cross * along - grade * across)
+    climb = grade * along + cross * across
+    tracks = vehicle.front_track_m + vehicle.rear_track_m
+    shaken = state[SPRUNG_Z + front_left] + state[SPRUNG_Z + rear_left]
+    shaken -= state[SPRUNG_Z + front_right] + state[SPRUNG_Z + rear_right]
+    shaking = state[SPRUNG_V + front_left] + state[SPRUNG_V + rear_left]
+    shaking -= state[SPRUNG_V + front_right] + state[SPRUNG_V + rear_right]
+    roll = state[ROLL + lane] + shaken / tracks
+    pitch = -vehicle.pitch_per_accel_s2pm_ratio * state[LAGGED_X + lane]
+    pitch_rate = (
+        -vehicle.pitch_per_accel_s2pm_ratio
+        * (state[FORCE_X + lane] - state[LAGGED_X + lane])
+        / (vehicle.load_transfer_lag_s)
+    )
+    # The body turns with the surface, whose bank changes along the road; uphill the nose points up, and yaw about the
+    # vertical has a part along x.
+    turning = state[CROSS_CHANGE + lane] * state[VELOCITY_X + lane] / (1.0 + cross * cross)
+    yaw = state[YAW_RATE + lane]
+    nose_up = (climb * cosine(pitch) - sine(pitch)) / math.sqrt(1.0 + climb * climb)
+    roll_rate = state[ROLL_RATE + lane] + shaking / tracks + turning + yaw * nose_up
+    force_x, force_y = state[FORCE_X + lane], state[FORCE_Y + lane]
+    load = (state[LOAD + front_left] + state[LOAD + front_right]) + (state[LOAD + rear_left] + state[LOAD + rear_right])
+    normal = load / vehicle.mass_kg
+
+    _log(state, lane, LOG_STATION, state[STATION + lane])
+    _log(state, lane, LOG_OFFSET, state[OFFSET + lane])
+    _log(state, lane, LOG_LINE_X, state[LINE_X + lane])
+    _log(state, lane, LOG_LINE_Y, state[LINE_Y + lane])
+    _log(state, lane, LOG_LINE_HEADING, state[LINE_HEADING + lane])
+    _log(state, lane, LOG_ANGLE, angle)
+    _log(state, lane, LOG_VELOCITY_X, state[VELOCITY_X + lane])
+    _log(state, lane, LOG_VELOCITY_Y, state[VELOCITY_Y + lane])
+    _log(state, lane, LOG_YAW_RATE, yaw)
+    _log(state, lane, LOG_ROLL, roll)
+    _log(state, lane, LOG_BANK, bank)
+    _log(state, lane, LOG_ACCEL_X, state[ACCEL_X + lane])
+    _log(state, lane, LOG_ACCEL_Y, state[ACCEL_Y + lane])
+    _log(state, lane, LOG_STEER, state[STEER + lane])
+    # Weighted by load; exactly the friction where it is the same under all wheels, whatever the loads.
+    mu = state[FRICTION + front_left]
+    others = (state[FRICTION + front_right] - mu) * state[LOAD + front_right]
+    others += (state[FRICTION + rear_left] - mu) * state[LOAD + rear_left]
+    others += (state[FRICTION + rear_right] - mu) * state[LOAD + rear_right]
+    _log(state, lane, LOG_FRICTION, mu + others / max(1.0, load))
+    front, rear = _utilisation_ratio(state, front_left), _utilisation_ratio(state, rear_left)
+    _log(state, lane, LOG_UTILISATION, max(front, rear))
+    _log(state, lane, LOG_ABS, state[ABS_ACTIVE + lane])
+    _log(state, lane, LOG_TCS, state[TCS_ACTIVE + lane])
+    _log(state, lane, LOG_ESC, state[ESC_ACTIVE + lane])
+    _log(state, lane, LOG_SENSED_FORCE, force_x * cosine(pitch) - normal * sine(pitch))
+    _log(state, lane, LOG_SENSED_FORCE + 1, force_y * cosine(roll) + normal * sine(roll))
+    up = normal * cosine(roll) * cosine(pitch) - force_y * sine(roll) + force_x * sine(pitch)
+    _log(state, lane, LOG_SENSED_FORCE + 2, up)
+    _log(state, lane, LOG_SENSED_RATE, roll_rate)
+    _log(state, lane, LOG_SENSED_RATE + 1, pitch_rate + yaw * sine(bank + roll))
+    _log(state, lane, LOG_SENSED_RATE + 2, yaw * cosine(roll))
+    for corner in range(4):
+        wheel = corner * LANES + lane
+        _log(state, lane, LOG_LOAD + corner, state[LOAD + wheel])
+        _log(state, lane, LOG_FORCE_X + corner, state[WHEEL_FORCE_X + wheel])
+        _log(state, lane, LOG_FORCE_Y + corner, state[WHEEL_FORCE_Y + wheel])
+        _log(state, lane, LOG_WHEEL_SPEED + corner, state[SPIN + wheel] * vehicle.tyre.rolling_radius_m)
+
+
+@formula
+def _log(state: FloatArray, lane: int, column: int, value: float) -> None:
+    state[REPORT + column * WHEELS + lane] = value
+
+
+@formula
+def _arc_tangent(slope: float) -> float:
+    # For a road's slopes: below 0.15 the error stays below 1e-10.
+    q = slope * slope
+    return slope * (1.0 - q * (1.0 / 3.0 - q * (1.0 / 5.0 - q * (1.0 / 7.0 - q / 9.0))))
+
+
+@formula
+def _utilisation_ratio(state: FloatArray, left: int) -> float:
+    """Return the share of its grip that an axle uses."""
+    right = left + LANES
+    force_x = state[WHEEL_FORCE_X + left] + state[WHEEL_FORCE_X + right]
+    force_y = state[WHEEL_FORCE_Y + left] + state[WHEEL_FORCE_Y + right]
+    grip = state[FRICTION + left] * state[LOAD + left] + state[FRICTION + right] * state[LOAD + right]
+    ratio: float = math.sqrt(force_x * force_x + force_y * force_y) / max(1.0, grip)
+    return ratio
 
 
 @kernel
-def set_torques(wheels: FloatArray, body: FloatArray, road: FloatArray, accel_mps2: float, vehicle: Vehicle) -> None:
-    """Write the drive and brake torques that give an acceleration, air and grade allowed for.
-
-    Open differentials; a fixed share per axle. A released pedal brakes with the engine up to its limit, the brakes do
-    the rest.
-
-    Args:
-        wheels: Columns DRIVE_NM and BRAKE_NM are written.
-        body: State of the body.
-        road: Road under the vehicle.
-        accel_mps2: What the pedals ask for.
-        vehicle: The car.
-    """
-    m, radius = vehicle.mass_kg, vehicle.tyre.rolling_radius_m
-    speed = body[VELOCITY_X]
-    force = m * (accel_mps2 + GRAVITY_MPS2 * (road[GRADE] + vehicle.tyre.rolling_resistance_ratio))
-    force += vehicle.drag_npm2ps2_ratio * speed * speed
-    drive = min(max(force, -m * vehicle.engine_brake_mps2), vehicle.power_w / max(3.0, speed))
-    if speed < 1.0:
-        drive = max(0.0, drive)
-    brake = min(max(0.0, drive - force), m * vehicle.brake_limit_mps2) if force < 0.0 else 0.0
-    for i in range(4):
-        drive_frac = vehicle.front_drive_frac if i < 2 else 1.0 - vehicle.front_drive_frac
-        brake_frac = vehicle.front_brake_frac if i < 2 else 1.0 - vehicle.front_brake_frac
-        wheels[i, DRIVE_NM] = 0.5 * drive_frac * drive * radius
-        wheels[i, BRAKE_NM] = 0.5 * brake_frac * brake * radius
-
-
-@kernel
-def _write_log(
-    row: FloatArray,
-    body: FloatArray,
-    wheels: FloatArray,
-    road: FloatArray,
-    aids: FloatArray,
-    mind: FloatArray,
-    vehicle: Vehicle,
-) -> None:
-    for j in range(BODY_SIZE):
-        row[j] = body[j]
-    angle = body[ANGLE]
-    grade, cross = road[GRADE], road[CROSS_SLOPE]
-    row[LOG_GRADE] = grade * math.cos(angle) + cross * math.sin(angle)
-    bank = math.atan(cross * math.cos(angle) - grade * math.sin(angle))
-    row[LOG_BANK] = bank
-    # The body turns with the surface: its bank changes along the road, and on a grade yaw has a part along x.
-    row[LOG_ROLL_RATE_ROAD] = road[CROSS_CHANGE] * body[VELOCITY_X] / (1.0 + cross * cross)
-    load = 0.0
-    for i in range(4):
-        load += wheels[i, LOAD]
-        row[LOG_SPIN + i] = wheels[i, SPIN]
-        row[LOG_LOAD + i] = wheels[i, LOAD]
-        row[LOG_FORCE_X + i] = wheels[i, WHEEL_FORCE_X]
-        row[LOG_FORCE_Y + i] = wheels[i, WHEEL_FORCE_Y]
-        row[LOG_FRICTION + i] = wheels[i, FRICTION]
-    row[LOG_NORMAL] = load / vehicle.mass_kg
-    track = vehicle.front_track_m + vehicle.rear_track_m
-    row[LOG_SHAKE_ROLL] = (
-        wheels[0, SPRUNG_Z] + wheels[2, SPRUNG_Z] - wheels[1, SPRUNG_Z] - wheels[3, SPRUNG_Z]
-    ) / track
-    row[LOG_SHAKE_RATE] = (
-        wheels[0, SPRUNG_V] + wheels[2, SPRUNG_V] - wheels[1, SPRUNG_V] - wheels[3, SPRUNG_V]
-    ) / track
-    row[LOG_ABS] = aids[ABS_ACTIVE]
-    row[LOG_TCS] = aids[TCS_ACTIVE]
-    row[LOG_ESC] = aids[ESC_ACTIVE]
-    row[LOG_GUESS] = mind[GUESS_MU]
-    row[LOG_SLIDE] = mind[FELT_SLIDE]
-
-
-@kernel
-def _ending(body: FloatArray, finish_m: float) -> int:
-    if body[STATION] >= finish_m:
+def _ending(state: FloatArray, lane: int) -> int:
+    if state[STATION + lane] >= state[FINISH_M + lane]:
         return COMPLETED
-    if abs(body[OFFSET]) > ROAD_MARGIN_M:
+    if abs(state[OFFSET + lane]) > ROAD_MARGIN_M:
         return LEFT_ROAD
-    vx, vy = body[VELOCITY_X], body[VELOCITY_Y]
-    if vx < 0.3:
+    vx, vy = state[VELOCITY_X + lane], state[VELOCITY_Y + lane]
+    if vx < STANDSTILL_MPS:
         return STOPPED
-    if abs(body[ANGLE]) > SPIN_RAD or abs(math.atan2(vy, vx)) > SPIN_RAD:
+    if abs(state[ANGLE + lane]) > SPIN_RAD or abs(math.atan2(vy, vx)) > SPIN_RAD:
         return SPUN
-    return -1
+    return RUNNING
+
+
+@kernel
+def _look(
+    state: FloatArray, counts: CountArray, lines: FloatArray, rough_m: FloatArray, lane: int, steps_count: int
+) -> None:
+    """Look up all that a car and its driver need for the coming sample; a car that was just seated sets off."""
+    last_line = counts[LAST_LINE, lane]
+    if counts[SAMPLE, lane] == 0:
+        _set_off(state, lane, lines, last_line)
+    elif counts[SAMPLE, lane] % GLANCE_SAMPLES == 0:
+        look_ahead(state, lane, lines, last_line)
+    look_at_road(state, lane, lines, last_line, steps_count)
+    look_before_wheels(state, lane, lines, last_line)
+    if counts[SAMPLE, lane] == 0:
+        look_up_height(state, lane, rough_m, counts[LAST_HEIGHT, lane])
+        _settle(state, lane)
+
+
+@kernel
+def _keep(state: FloatArray, counts: CountArray, log: FloatArray, lane: int) -> None:
+    """Copy the report of a sample into the log, and note whether the drive ends here."""
+    sample = counts[SAMPLE, lane]
+    for column in range(REPORT_COUNT):
+        log[column, sample] = state[REPORT + column * WHEELS + lane]
+    counts[SAMPLE, lane] = sample + 1
+    ending = _ending(state, lane)
+    if ending == RUNNING and sample + 1 >= counts[SAMPLES_LIMIT, lane]:
+        ending = TIMED_OUT
+    counts[ENDING, lane] = ending
 
 
 @kernel
 def _drive(
-    lines: FloatArray,
-    rough_m: FloatArray,
-    errand: Errand,
-    driver: Driver,
-    vehicle: Vehicle,
-    log: FloatArray,
-) -> tuple[int, int]:
-    body = np.zeros(BODY_SIZE)
-    wheels = np.zeros((4, WHEEL_SIZE))
-    road = np.zeros(5)
-    mind = np.zeros(MIND_SIZE)
-    aids = np.zeros(AIDS_SIZE)
-    gradient = understeer_gradient_s2pm(vehicle)
-    substeps = int(SAMPLE_S / errand.step_s + 0.5)
-    dt = errand.step_s
-
-    sit_down(mind, driver)
-    switch_on(aids)
-    body[STATION] = -errand.approach_m
-    allowed, _ = scan_ahead(
-        lines, errand.start_m, errand.step_m, body[STATION], errand.target_mps, mind[GUESS_MU], driver
-    )
-    body[VELOCITY_X] = min(errand.target_mps, allowed)
-    look_at_road(road, wheels, lines, rough_m, body[STATION], errand, vehicle)
-    for i in range(4):
-        wheels[i, SPIN] = body[VELOCITY_X] / vehicle.tyre.rolling_radius_m
-        # On the surface and at rest over it.
-        wheels[i, SPRUNG_Z] = wheels[i, ROAD_Z]
-        wheels[i, SPRUNG_Z + 2] = wheels[i, ROAD_Z]
-    set_loads(body, wheels, road, vehicle)
-    asked = 0.0
-    target_mps = errand.target_mps
-
-    for k in range(len(log)):
-        feel(mind, body, wheels, driver, SAMPLE_S)
-        choose_pedals(mind, body, lines, errand.start_m, errand.step_m, target_mps, driver, SAMPLE_S)
-        if body[STATION] >= errand.brake_from_m and target_mps != errand.brake_until_mps:
-            mind[ACCEL_WISH] = -errand.brake_mps2
-            if body[VELOCITY_X] <= errand.brake_until_mps:
-                target_mps = errand.brake_until_mps
-        front_mu = 0.5 * (wheels[0, FRICTION] + wheels[1, FRICTION])
-        choose_steering(mind, body, lines, errand.start_m, errand.step_m, front_mu, gradient, vehicle, driver)
-        asked += (mind[ACCEL_WISH] - asked) * (1.0 - math.exp(-SAMPLE_S / vehicle.brake_lag_s))
-        set_torques(wheels, body, road, asked, vehicle)
-        intervene(aids, body, wheels, gradient, errand.abs_on, errand.tcs_on, errand.esc_on, vehicle, SAMPLE_S)
-        _write_log(log[k], body, wheels, road, aids, mind, vehicle)
-        ending = _ending(body, errand.finish_m)
-        if ending >= 0:
-            return k + 1, ending
-        for _ in range(substeps):
-            turn = (mind[STEER_WISH] - body[STEER]) / (driver.steer_lag_s + dt)
-            turn = min(max(turn, -vehicle.steer_rate_limit_radps), vehicle.steer_rate_limit_radps)
-            body[STEER] += turn * dt
-            look_at_road(road, wheels, lines, rough_m, body[STATION], errand, vehicle)
-            advance(body, wheels, road, vehicle, dt)
-    return len(log), TIMED_OUT
+    state: FloatArray, counts: CountArray, lines: FloatArray, rough_m: FloatArray, log: FloatArray, step_s: float
+) -> None:
+    steps_count = int(SAMPLE_S / step_s + 0.5)
+    ended = False
+    while not ended:
+        for lane in range(LANES):
+            if counts[ENDING, lane] == RUNNING:
+                _look(state, counts, lines[lane], rough_m[lane], lane, steps_count)
+        _decide(state)
+        for lane in range(LANES):
+            if counts[ENDING, lane] == RUNNING:
+                _keep(state, counts, log[lane], lane)
+                ended = ended or counts[ENDING, lane] != RUNNING
+        # Those who have not ended finish the sample, so that the next call starts with a whole one.
+        for _ in range(steps_count):
+            for lane in range(LANES):
+                if counts[ENDING, lane] == RUNNING:
+                    look_up_height(state, lane, rough_m[lane], counts[LAST_HEIGHT, lane])
+            _act(state, step_s)
+            advance(state, step_s)
 
 
-def _compiled(digest: int) -> Callable[..., tuple[int, int]]:
+def _compiled(digest: int) -> Callable[..., None]:
     @cached_kernel
     def drive(
+        state: FloatArray,
+        counts: CountArray,
         lines: FloatArray,
         rough_m: FloatArray,
-        errand: Errand,
-        driver: Driver,
-        vehicle: Vehicle,
         log: FloatArray,
-    ) -> tuple[int, int]:
-        """Run a drive and return how many samples it wrote into the log, and how it ended."""
-        if digest == 0:
-            return 0, TIMED_OUT
-        return _drive(lines, rough_m, errand, driver, vehicle, log)
+        step_s: float,
+    ) -> None:
+        """Move all lanes until at least one drive has ended."""
+        if digest != 0:
+            _drive(state, counts, lines, rough_m, log, step_s)
 
-    compiled: Callable[..., tuple[int, int]] = drive
+    compiled: Callable[..., None] = drive
     return compiled
 
 
@@ -319,4 +343,9 @@ DIGEST = code_digest(_drive)
 """Of all compiled code of the simulator; in the compiler's cache key, and the name of the simulator in records."""
 
 drive = _compiled(DIGEST)
-"""Run a drive: (lines, roughness, errand, driver, vehicle, log) -> (samples written, ending)."""
+"""Move all lanes until at least one has ended: (state, counts, lines, roughness, log, time step).
+
+`counts` (COUNTS_SIZE, LANES) of int64; `lines` (LANES, n, 12) as in `track.Track`; roughness (LANES, k, 2); `log`
+(LANES, REPORT_COUNT, samples). A running lane has RUNNING in ENDING; one that has ended holds how, and in SAMPLE how
+many samples its log has.
+"""

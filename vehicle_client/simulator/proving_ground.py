@@ -4,6 +4,8 @@ For what an engineer tries on a proving ground: steady circles, step steer, lane
 braking in a straight line. It is the very car of the drives, one time step after another.
 """
 
+# ruff: noqa: PLR0917 - the compiler knows no keyword-only arguments
+
 from __future__ import annotations
 
 from dataclasses import dataclass
@@ -12,12 +14,36 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from roadgrip.units import SAMPLE_S
-from vehicle_client.simulator import chassis, journey, stability
-from vehicle_client.simulator.driver import understeer_gradient_s2pm
-from vehicle_client.simulator.plan import NO_SYSTEMS, StabilitySystems
+from vehicle_client.simulator import journey
+from vehicle_client.simulator.chassis import advance, set_hubs, set_loads
+from vehicle_client.simulator.compilation import cached_kernel, code_digest, kernel
+from vehicle_client.simulator.driver import press_pedals
+from vehicle_client.simulator.journey import report
+from vehicle_client.simulator.lanes import (
+    ANGLE,
+    ASKED_BRAKE_NM,
+    ASKED_DRIVE_NM,
+    CROSS_SLOPE,
+    DRIVE_NM,
+    FRICTION,
+    GRADE,
+    LANES,
+    REPORT,
+    REPORT_COUNT,
+    SPIN,
+    STATE_SIZE,
+    STEER,
+    VELOCITY_X,
+    WHEELS,
+)
+from vehicle_client.simulator.plan import NO_SYSTEMS, UNIMPRESSED, StabilitySystems
+from vehicle_client.simulator.seats import place_car
+from vehicle_client.simulator.stability import control_yaw, limit_braking, limit_drive, see_braking
 from vehicle_client.simulator.vehicle import XC90, Vehicle
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from roadgrip.units import BoolArray, FloatArray
 
 _HOLD_NMS = 2_000.0
@@ -109,50 +135,101 @@ def drive_open_loop(
     """
     if hold_speed and accel_mps2 is not None:
         raise ValueError("either the pedals or the machine that holds the speed")
-    body = np.zeros(chassis.BODY_SIZE)
-    wheels = np.zeros((4, chassis.WHEEL_SIZE))
-    road = np.zeros(5)
-    aids = np.zeros(stability.AIDS_SIZE)
-    stability.switch_on(aids)
-    road[chassis.GRADE], road[chassis.CROSS_SLOPE] = plane.grade_ratio, plane.cross_slope_ratio
+    state = np.zeros(STATE_SIZE)
+    for lane in range(LANES):
+        # All lanes hold the same car; the first is looked at.
+        place_car(state, lane, vehicle=vehicle, driver=UNIMPRESSED, stability=systems)
+    rows = state.reshape(-1, 4, LANES)
+    rows[GRADE // WHEELS], rows[CROSS_SLOPE // WHEELS] = plane.grade_ratio, plane.cross_slope_ratio
     right_mu = plane.friction_mu if plane.right_friction_mu is None else plane.right_friction_mu
-    wheels[:, chassis.FRICTION] = [plane.friction_mu, right_mu, plane.friction_mu, right_mu]
-    wheels[:, chassis.SPIN] = speed_mps / vehicle.tyre.rolling_radius_m
-    body[chassis.VELOCITY_X] = speed_mps
-    gradient = understeer_gradient_s2pm(vehicle)
-    abs_on, tcs_on, esc_on = (float(on) for on in systems)
-    substeps = round(SAMPLE_S / step_s)
-    states = np.empty((len(steer_rad), chassis.BODY_SIZE))
-    corners = np.empty((len(steer_rad), 4, chassis.WHEEL_SIZE))
-    active = np.empty((len(steer_rad), 3), dtype=np.bool_)
-    for k in range(len(steer_rad)):
-        wheels[:, [chassis.DRIVE_NM, chassis.BRAKE_NM]] = 0.0
-        if accel_mps2 is not None:
-            journey.set_torques(wheels, body, road, float(accel_mps2[k]), vehicle)
-        stability.intervene(aids, body, wheels, gradient, abs_on, tcs_on, esc_on, vehicle, SAMPLE_S)
-        active[k] = aids[stability.ABS_ACTIVE : stability.ESC_ACTIVE + 1] > 0.0
-        states[k], corners[k] = body, wheels
-        following = steer_rad[min(k + 1, len(steer_rad) - 1)]
-        for j in range(substeps):
-            body[chassis.STEER] = steer_rad[k] + (following - steer_rad[k]) * j / substeps
-            if hold_speed:
-                wheels[:, chassis.DRIVE_NM] = _HOLD_NMS * (speed_mps - body[chassis.VELOCITY_X])
-            body[chassis.ANGLE] = 0.0  # the plane turns with the car
-            chassis.advance(body, wheels, road, vehicle, step_s)
+    rows[FRICTION // WHEELS] = np.array([plane.friction_mu, right_mu] * 2)[:, None]
+    rows[SPIN // WHEELS] = speed_mps / vehicle.tyre.rolling_radius_m
+    rows[VELOCITY_X // WHEELS] = speed_mps
+    asked = np.ascontiguousarray(steer_rad, dtype=np.float64)
+    pedals = np.empty(0) if accel_mps2 is None else np.ascontiguousarray(accel_mps2, dtype=np.float64)
+    log = np.empty((REPORT_COUNT, len(asked)))
+    _drive_on_plane(state, asked, pedals, speed_mps if hold_speed else -1.0, log, step_s)
     return Motion(
-        time_s=SAMPLE_S * np.arange(len(steer_rad), dtype=np.float64),
-        velocity_x_mps=states[:, chassis.VELOCITY_X],
-        velocity_y_mps=states[:, chassis.VELOCITY_Y],
-        yaw_rate_radps=states[:, chassis.YAW_RATE],
-        roll_rad=states[:, chassis.ROLL],
-        accel_x_mps2=states[:, chassis.ACCEL_X],
-        accel_y_mps2=states[:, chassis.ACCEL_Y],
-        steer_rad=np.array(steer_rad, dtype=np.float64),
-        wheel_speed_radps=corners[:, :, chassis.SPIN],
-        wheel_load_n=corners[:, :, chassis.LOAD],
-        wheel_force_x_n=corners[:, :, chassis.WHEEL_FORCE_X],
-        wheel_force_y_n=corners[:, :, chassis.WHEEL_FORCE_Y],
-        abs_active=active[:, 0],
-        tcs_active=active[:, 1],
-        esc_active=active[:, 2],
+        time_s=SAMPLE_S * np.arange(len(asked), dtype=np.float64),
+        velocity_x_mps=log[journey.LOG_VELOCITY_X],
+        velocity_y_mps=log[journey.LOG_VELOCITY_Y],
+        yaw_rate_radps=log[journey.LOG_YAW_RATE],
+        roll_rad=log[journey.LOG_ROLL],
+        accel_x_mps2=log[journey.LOG_ACCEL_X],
+        accel_y_mps2=log[journey.LOG_ACCEL_Y],
+        steer_rad=asked.copy(),
+        wheel_speed_radps=log[journey.LOG_WHEEL_SPEED : journey.LOG_WHEEL_SPEED + 4].T / vehicle.tyre.rolling_radius_m,
+        wheel_load_n=log[journey.LOG_LOAD : journey.LOG_LOAD + 4].T,
+        wheel_force_x_n=log[journey.LOG_FORCE_X : journey.LOG_FORCE_X + 4].T,
+        wheel_force_y_n=log[journey.LOG_FORCE_Y : journey.LOG_FORCE_Y + 4].T,
+        abs_active=log[journey.LOG_ABS] > 0.0,
+        tcs_active=log[journey.LOG_TCS] > 0.0,
+        esc_active=log[journey.LOG_ESC] > 0.0,
     )
+
+
+@kernel
+def _decide(state: FloatArray, accel_mps2: float, driven_share: float) -> None:
+    for lane in range(LANES):
+        press_pedals(state, lane, accel_mps2)
+    for wheel in range(WHEELS):
+        state[ASKED_DRIVE_NM + wheel] *= driven_share
+        state[ASKED_BRAKE_NM + wheel] *= driven_share
+    for lane in range(LANES):
+        control_yaw(state, lane, SAMPLE_S)
+        see_braking(state, lane)
+        report(state, lane)
+
+
+@kernel
+def _act(state: FloatArray, steer_rad: float, hold_mps: float) -> None:
+    for lane in range(LANES):
+        state[STEER + lane] = steer_rad
+        state[ANGLE + lane] = 0.0  # the plane turns with the car
+        limit_drive(state, lane)
+    for wheel in range(WHEELS):
+        limit_braking(state, wheel)
+        if hold_mps >= 0.0:
+            state[DRIVE_NM + wheel] = _HOLD_NMS * (hold_mps - state[VELOCITY_X + wheel % LANES])
+
+
+@kernel
+def _drive_open_loop(
+    state: FloatArray, steer_rad: FloatArray, accel_mps2: FloatArray, hold_mps: float, log: FloatArray, step_s: float
+) -> None:
+    steps_count = int(SAMPLE_S / step_s + 0.5)
+    for lane in range(LANES):
+        set_loads(state, lane)
+        set_hubs(state, lane)
+    for k in range(len(steer_rad)):
+        if len(accel_mps2) > 0:
+            _decide(state, accel_mps2[k], 1.0)
+        else:
+            _decide(state, 0.0, 0.0)  # no foot on any pedal, and no engine brake
+        for column in range(REPORT_COUNT):
+            log[column, k] = state[REPORT + column * WHEELS]
+        following = steer_rad[min(k + 1, len(steer_rad) - 1)]
+        for j in range(steps_count):
+            _act(state, steer_rad[k] + (following - steer_rad[k]) * j / steps_count, hold_mps)
+            advance(state, step_s)
+
+
+def _compiled(digest: int) -> Callable[..., None]:
+    @cached_kernel
+    def drive(
+        state: FloatArray,
+        steer_rad: FloatArray,
+        accel_mps2: FloatArray,
+        hold_mps: float,
+        log: FloatArray,
+        step_s: float,
+    ) -> None:
+        """Drive as steering and pedals, or a held speed, say."""
+        if digest != 0:
+            _drive_open_loop(state, steer_rad, accel_mps2, hold_mps, log, step_s)
+
+    compiled: Callable[..., None] = drive
+    return compiled
+
+
+_drive_on_plane = _compiled(code_digest(_drive_open_loop))

@@ -1,15 +1,17 @@
 """The door of the simulator: a section and a plan in, a drive out.
 
 A drive depends on its section and its plan alone: one at a time or in batches, on any number of threads or processes,
-it comes out the same to the last bit. The compiled part releases the interpreter's lock, so that callers may spread
-plans over threads as well as over processes; this module starts neither.
+it comes out the same to the last bit. Many plans are driven side by side (`lanes`), which takes a tenth of the time;
+the compiled part releases the interpreter's lock, so that callers may spread plans over threads as well as over
+processes. This module starts neither.
 
-The first call on a machine compiles for some tens of seconds (`warm_up` does nothing else); later processes read the
-compiler's cache.
+The first call on a machine compiles for some seconds (`warm_up` does nothing else); later processes read the compiler's
+cache.
 """
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,8 +20,20 @@ from roadgrip.errors import SectionError
 from roadgrip.geodesy import frame_of
 from roadgrip.section import build_section
 from roadgrip.units import SAMPLE_S, FloatArray
-from vehicle_client.simulator import chassis, journey
+from vehicle_client.simulator import journey
 from vehicle_client.simulator.drive import Drive, DriveOutcome, Truth
+from vehicle_client.simulator.driver import SURE_MU
+from vehicle_client.simulator.lanes import (
+    APPROACH_M,
+    BRAKE_FROM_M,
+    BRAKE_MPS2,
+    BRAKE_UNTIL_MPS,
+    FINISH_M,
+    GUESS_MU,
+    START_M,
+    STEP_M,
+    TARGET_MPS,
+)
 from vehicle_client.simulator.plan import (
     ALL_SYSTEMS,
     NO_SYSTEMS,
@@ -34,13 +48,13 @@ from vehicle_client.simulator.plan import (
     draw_driver,
     draw_plan,
 )
+from vehicle_client.simulator.seats import Lanes
 from vehicle_client.simulator.sensors import SENSORS, Motion, gnss_track, trace_of
 from vehicle_client.simulator.surface import class_density_m3, roughness_m
-from vehicle_client.simulator.track import Track, track_of
-from vehicle_client.simulator.vehicle import Vehicle
+from vehicle_client.simulator.track import Track, bare_track_of, with_friction
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Iterator
 
     from roadgrip.section import RoadSection
     from roadgrip.units import BoolArray
@@ -62,6 +76,7 @@ __all__ = [
     "compiled_cache_key",
     "draw_driver",
     "draw_plan",
+    "each_passage",
     "simulate_passage",
     "simulate_passages",
     "warm_up",
@@ -69,6 +84,9 @@ __all__ = [
 
 LABEL_WINDOW_M = 10.0
 PEAK_WINDOW_S = 0.1
+_WAITING_LIMIT = 64
+"""Drives that are done but not yet their turn; beyond it no further ones set off."""
+_SURFACE, _SENSORS, _GNSS = 0, 1, 2
 _OUTCOMES = {
     journey.COMPLETED: DriveOutcome.COMPLETED,
     journey.LEFT_ROAD: DriveOutcome.LEFT_ROAD,
@@ -92,60 +110,126 @@ def simulate_passage(section: RoadSection, plan: PassagePlan, *, step_s: float =
         SectionError: Position fixes are asked for, but the section has no anchors.
         ValueError: The plan is out of range.
     """
-    _check(section, plan)
-    surface_rng, sensor_rng, gnss_rng = (np.random.default_rng(s) for s in np.random.SeedSequence(plan.seed).spawn(3))
-    track = track_of(section, plan)
+    return next(each_passage(section, [plan], step_s=step_s))
+
+
+def simulate_passages(section: RoadSection, plans: Iterable[PassagePlan]) -> list[Drive]:
+    """Return the drives of many plans, in their order; each is what `simulate_passage` returns for it.
+
+    All drives with their full histories are in memory at once; `each_passage` keeps but a few.
+
+    Args:
+        section: The road.
+        plans: Everything else.
+
+    Raises:
+        SectionError: As `simulate_passage`.
+        ValueError: As `simulate_passage`.
+    """
+    return list(each_passage(section, plans))
+
+
+def each_passage(
+    section: RoadSection, plans: Iterable[PassagePlan], *, step_s: float = journey.STEP_S
+) -> Iterator[Drive]:
+    """Yield the drives of many plans, in their order, with little more than a dozen in memory.
+
+    Args:
+        section: The road.
+        plans: Everything else; read as lanes become free.
+        step_s: Time step of the cars.
+
+    Raises:
+        SectionError: As `simulate_passage`.
+        ValueError: As `simulate_passage`.
+    """
+    lanes = Lanes()
+    bare_track = lru_cache(maxsize=8)(
+        lambda approach_m, exit_m: bare_track_of(section, approach_m=approach_m, exit_m=exit_m)
+    )
+    coming = enumerate(plans)
+    seated: dict[int, tuple[int, PassagePlan]] = {}
+    done: dict[int, Drive] = {}
+    due = 0
+    while True:
+        # Who waits for a slow drive ahead of him waits in memory: then nobody else sets off.
+        for lane in lanes.free() if len(done) < _WAITING_LIMIT else ():
+            number, plan = next(coming, (-1, None))
+            if plan is None:
+                break
+            _check(section, plan)
+            _seat(lanes, lane, section, plan, with_friction(bare_track(plan.approach_m, plan.exit_m), plan))
+            seated[lane] = number, plan
+        if not seated:
+            return
+        for lane, ending, log in lanes.drive(step_s):
+            number, plan = seated.pop(lane)
+            done[number] = _drive_of(section, plan, log, _OUTCOMES[ending])
+        while due in done:
+            yield done.pop(due)
+            due += 1
+
+
+def _seat(lanes: Lanes, lane: int, section: RoadSection, plan: PassagePlan, track: Track) -> None:
+    surface_rng = _rng_of(plan, _SURFACE)
     rough = np.empty((0, 2))
     if plan.roughness is not None:
         rough = roughness_m(
-            surface_rng, length_m=track.step_m * len(track.x_m), density_m3=class_density_m3(plan.roughness)
+            surface_rng, length_m=track.length_m + track.step_m, density_m3=class_density_m3(plan.roughness)
         )
     target_mps = section.speed_limit_mps if plan.target_speed_mps is None else plan.target_speed_mps
-    errand = journey.Errand(
-        start_m=track.start_m,
-        step_m=track.step_m,
-        approach_m=float(plan.approach_m),
-        finish_m=section.length_m + plan.exit_m,
-        target_mps=float(target_mps),
-        brake_from_m=np.inf if plan.braking is None else float(plan.braking.station_m),
-        brake_mps2=0.0 if plan.braking is None else float(plan.braking.decel_mps2),
-        brake_until_mps=-1.0 if plan.braking is None else float(plan.braking.end_speed_mps),
-        abs_on=float(plan.stability.abs_on),
-        tcs_on=float(plan.stability.tcs_on),
-        esc_on=float(plan.stability.esc_on),
-        step_s=step_s,
+    finish_m = section.length_m + plan.exit_m
+    longest_s = (plan.approach_m + finish_m) / journey.SLOWEST_MEAN_MPS + 10.0
+    lanes.seat(
+        lane,
+        vehicle=plan.vehicle,
+        driver=plan.driver,
+        stability=plan.stability,
+        lines=track.lines,
+        rough_m=rough,
+        samples_limit_count=int(longest_s / SAMPLE_S),
+        rows={
+            START_M: track.start_m,
+            STEP_M: track.step_m,
+            APPROACH_M: plan.approach_m,
+            FINISH_M: finish_m,
+            TARGET_MPS: target_mps,
+            BRAKE_FROM_M: np.inf if plan.braking is None else plan.braking.station_m,
+            BRAKE_MPS2: 0.0 if plan.braking is None else plan.braking.decel_mps2,
+            BRAKE_UNTIL_MPS: -1.0 if plan.braking is None else plan.braking.end_speed_mps,
+            GUESS_MU: min(SURE_MU, plan.driver.friction_guess_mu),
+        },
     )
-    longest_s = (plan.approach_m + errand.finish_m) / journey.SLOWEST_MEAN_MPS + 10.0
-    log = np.empty((int(longest_s / SAMPLE_S), journey.LOG_SIZE))
-    driver = Driver._make(float(v) for v in plan.driver)
-    count, ending = journey.drive(track.lines, rough, errand, driver, plan.vehicle, log)
-    log = log[:count]
 
-    truth = _truth(log, track)
+
+def _rng_of(plan: PassagePlan, purpose: int) -> np.random.Generator:
+    """Return the source of chance of one purpose; the same as that of a seed sequence's child of this number."""
+    return np.random.default_rng(np.random.SeedSequence(plan.seed, spawn_key=(purpose,)))
+
+
+def _drive_of(section: RoadSection, plan: PassagePlan, log: FloatArray, outcome: DriveOutcome) -> Drive:
+    truth = _truth(log)
     sensors = SENSORS[plan.sensor_grade]
     gnss = None
     if plan.with_gnss:
-        gnss = gnss_track(truth.x_m, truth.y_m, frame=frame_of(section), rng=gnss_rng, sensors=sensors)
-    trace = trace_of(_motion(log, plan.vehicle), rng=sensor_rng, sensors=sensors, gnss=gnss)
+        rng = _rng_of(plan, _GNSS)
+        gnss = gnss_track(truth.x_m, truth.y_m, frame=frame_of(section), rng=rng, sensors=sensors)
+    trace = trace_of(_motion(log), rng=_rng_of(plan, _SENSORS), sensors=sensors, gnss=gnss)
     inside = (truth.station_m >= 0.0) & (truth.station_m <= section.length_m)
+    seen = inside if inside.any() else np.ones_like(inside)
     return Drive(
         plan=plan,
-        outcome=_OUTCOMES[ending],
+        outcome=outcome,
         trace=trace,
         truth=truth,
         label_mu=_lowest_moving_mean_mu(truth, inside),
-        lowest_mu=float(truth.friction_mu[inside].min()) if inside.any() else float(truth.friction_mu.min()),
+        lowest_mu=float(truth.friction_mu[seen].min()),
         abs_active_frac=_share(truth.abs_active, inside),
         tcs_active_frac=_share(truth.tcs_active, inside),
         esc_active_frac=_share(truth.esc_active, inside),
         peak_utilisation_ratio=_peak_ratio(truth.utilisation_ratio, inside),
         peak_sideslip_rad=float(np.abs(truth.sideslip_rad[inside]).max()) if inside.any() else 0.0,
     )
-
-
-def simulate_passages(section: RoadSection, plans: Sequence[PassagePlan]) -> list[Drive]:
-    """Return the drives of many plans, in their order; each is what `simulate_passage` returns for it."""
-    return [simulate_passage(section, plan) for plan in plans]
 
 
 def warm_up() -> None:
@@ -193,76 +277,45 @@ def _check(section: RoadSection, plan: PassagePlan) -> None:
         raise SectionError(message)
 
 
-def _truth(log: FloatArray, track: Track) -> Truth:
-    station, offset = log[:, chassis.STATION], log[:, chassis.OFFSET]
-    grid = track.station_m
-    heading = np.interp(station, grid, track.heading_rad)
-    vx, vy = log[:, chassis.VELOCITY_X], log[:, chassis.VELOCITY_Y]
-    load = log[:, journey.LOG_LOAD : journey.LOG_LOAD + 4]
-    force_x = log[:, journey.LOG_FORCE_X : journey.LOG_FORCE_X + 4]
-    force_y = log[:, journey.LOG_FORCE_Y : journey.LOG_FORCE_Y + 4]
-    friction = log[:, journey.LOG_FRICTION : journey.LOG_FRICTION + 4]
-    grip = friction * load
-    front = np.hypot(force_x[:, :2].sum(1), force_y[:, :2].sum(1)) / np.maximum(1.0, grip[:, :2].sum(1))
-    rear = np.hypot(force_x[:, 2:].sum(1), force_y[:, 2:].sum(1)) / np.maximum(1.0, grip[:, 2:].sum(1))
+def _truth(log: FloatArray) -> Truth:
+    """Return what was true; most of it are views of the log."""
+    offset, line_heading = log[journey.LOG_OFFSET], log[journey.LOG_LINE_HEADING]
+    vx, vy = log[journey.LOG_VELOCITY_X], log[journey.LOG_VELOCITY_Y]
     return Truth(
-        time_s=SAMPLE_S * np.arange(len(log), dtype=np.float64),
-        station_m=station.copy(),
-        lateral_offset_m=offset.copy(),
-        x_m=np.interp(station, grid, track.x_m) - offset * np.sin(heading),
-        y_m=np.interp(station, grid, track.y_m) + offset * np.cos(heading),
-        heading_rad=heading + log[:, chassis.ANGLE],
-        velocity_x_mps=vx.copy(),
-        velocity_y_mps=vy.copy(),
+        time_s=SAMPLE_S * np.arange(log.shape[1], dtype=np.float64),
+        station_m=log[journey.LOG_STATION],
+        lateral_offset_m=offset,
+        x_m=log[journey.LOG_LINE_X] - offset * np.sin(line_heading),
+        y_m=log[journey.LOG_LINE_Y] + offset * np.cos(line_heading),
+        heading_rad=line_heading + log[journey.LOG_ANGLE],
+        velocity_x_mps=vx,
+        velocity_y_mps=vy,
         sideslip_rad=np.arctan2(vy, vx),
-        yaw_rate_radps=log[:, chassis.YAW_RATE].copy(),
-        roll_rad=log[:, chassis.ROLL] + log[:, journey.LOG_SHAKE_ROLL],
-        bank_rad=log[:, journey.LOG_BANK].copy(),
-        accel_x_mps2=log[:, chassis.ACCEL_X].copy(),
-        accel_y_mps2=log[:, chassis.ACCEL_Y].copy(),
-        steer_rad=log[:, chassis.STEER].copy(),
-        wheel_load_n=load.copy(),
-        wheel_force_x_n=force_x.copy(),
-        wheel_force_y_n=force_y.copy(),
-        friction_mu=_load_weighted(friction, load),
-        utilisation_ratio=np.maximum(front, rear),
-        abs_active=log[:, journey.LOG_ABS] > 0.0,
-        tcs_active=log[:, journey.LOG_TCS] > 0.0,
-        esc_active=log[:, journey.LOG_ESC] > 0.0,
+        yaw_rate_radps=log[journey.LOG_YAW_RATE],
+        roll_rad=log[journey.LOG_ROLL],
+        bank_rad=log[journey.LOG_BANK],
+        accel_x_mps2=log[journey.LOG_ACCEL_X],
+        accel_y_mps2=log[journey.LOG_ACCEL_Y],
+        steer_rad=log[journey.LOG_STEER],
+        wheel_load_n=log[journey.LOG_LOAD : journey.LOG_LOAD + 4].T,
+        wheel_force_x_n=log[journey.LOG_FORCE_X : journey.LOG_FORCE_X + 4].T,
+        wheel_force_y_n=log[journey.LOG_FORCE_Y : journey.LOG_FORCE_Y + 4].T,
+        friction_mu=log[journey.LOG_FRICTION],
+        utilisation_ratio=log[journey.LOG_UTILISATION],
+        abs_active=log[journey.LOG_ABS] > 0.0,
+        tcs_active=log[journey.LOG_TCS] > 0.0,
+        esc_active=log[journey.LOG_ESC] > 0.0,
     )
 
 
-def _load_weighted(friction: FloatArray, load: FloatArray) -> FloatArray:
-    """Return the mean under the wheels; exactly the friction where it is the same under all, whatever the loads."""
-    first = friction[:, :1]
-    weighted: FloatArray = first[:, 0] + ((friction - first) * load).sum(1) / np.maximum(1.0, load.sum(1))
-    return weighted
-
-
-def _motion(log: FloatArray, vehicle: Vehicle) -> Motion:
+def _motion(log: FloatArray) -> Motion:
     """Return what sensors sense: the motion in the axes of the body, which leans against the road."""
-    roll = log[:, chassis.ROLL] + log[:, journey.LOG_SHAKE_ROLL]
-    pitch = -vehicle.pitch_per_accel_s2pm_ratio * log[:, chassis.LAGGED_X]
-    force_x, force_y = log[:, chassis.FORCE_X], log[:, chassis.FORCE_Y]
-    normal, yaw = log[:, journey.LOG_NORMAL], log[:, chassis.YAW_RATE]
-    roll_rate = log[:, chassis.ROLL_RATE] + log[:, journey.LOG_SHAKE_RATE] + log[:, journey.LOG_ROLL_RATE_ROAD]
-    # Uphill the nose points up, and yaw about the vertical has a part along x.
-    roll_rate = roll_rate + yaw * np.sin(np.arctan(log[:, journey.LOG_GRADE]) - pitch)
-    pitch_rate = np.gradient(pitch, SAMPLE_S) if len(log) > 1 else np.zeros(len(log))
-    pitch_rate = pitch_rate + yaw * np.sin(log[:, journey.LOG_BANK] + roll)
-    force = np.column_stack(
-        [
-            force_x * np.cos(pitch) - normal * np.sin(pitch),
-            force_y * np.cos(roll) + normal * np.sin(roll),
-            normal * np.cos(roll) * np.cos(pitch) - force_y * np.sin(roll) + force_x * np.sin(pitch),
-        ]
-    )
-    stability: BoolArray = log[:, journey.LOG_ABS : journey.LOG_ESC + 1].max(axis=1) > 0.0
+    stability: BoolArray = log[journey.LOG_ABS : journey.LOG_ESC + 1].max(axis=0) > 0.0
     return Motion(
-        specific_force_mps2=force,
-        rate_radps=np.column_stack([roll_rate, pitch_rate, yaw * np.cos(roll)]),
-        steer_rad=log[:, chassis.STEER],
-        wheel_speed_mps=log[:, journey.LOG_SPIN : journey.LOG_SPIN + 4] * vehicle.tyre.rolling_radius_m,
+        specific_force_mps2=np.ascontiguousarray(log[journey.LOG_SENSED_FORCE : journey.LOG_SENSED_FORCE + 3].T),
+        rate_radps=np.ascontiguousarray(log[journey.LOG_SENSED_RATE : journey.LOG_SENSED_RATE + 3].T),
+        steer_rad=log[journey.LOG_STEER],
+        wheel_speed_mps=np.ascontiguousarray(log[journey.LOG_WHEEL_SPEED : journey.LOG_WHEEL_SPEED + 4].T),
         stability_active=stability,
     )
 
@@ -273,8 +326,10 @@ def _lowest_moving_mean_mu(truth: Truth, inside: BoolArray) -> float:
     Over what was driven of it where that is shorter, and over the whole drive where the section was never reached.
     """
     station, friction = truth.station_m, truth.friction_mu
-    if inside.sum() > 1:
+    if np.count_nonzero(inside) > 1:
         station, friction = station[inside], friction[inside]
+    if friction.min() == friction.max():
+        return float(friction[0])
     # Sideways or backwards the station hardly moves; it must not fall for the integral.
     station = np.maximum.accumulate(station)
     reference = float(friction[0])
@@ -297,4 +352,5 @@ def _peak_ratio(utilisation: FloatArray, inside: BoolArray) -> float:
     width = round(PEAK_WINDOW_S / SAMPLE_S)
     if len(values) < width:
         return 0.0
-    return float(np.convolve(values, np.full(width, 1.0 / width), mode="valid").max())
+    sums = np.concatenate([[0.0], np.cumsum(values)])
+    return float((sums[width:] - sums[:-width]).max()) / width

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+
+from roadgrip.units import GRAVITY_MPS2
 
 if TYPE_CHECKING:
     from roadgrip.section import RoadSection
@@ -19,9 +21,15 @@ RUN_IN_M = 10.0
 RUN_OUT_M = 150.0
 """Road beyond the exit, so that the driver sees no end of the world."""
 
-# Columns of `Track.lines`: the first five are what `chassis` reads.
+STRAIGHT_1PM = 1e-4
+"""A curvature below which the driver sees a straight road."""
+
+# Columns of `Track.lines`.
+TRACK_CURVATURE, TRACK_GRADE, TRACK_CROSS_SLOPE, TRACK_GRADE_CHANGE, TRACK_CROSS_CHANGE = 0, 1, 2, 3, 4
 LEFT_MU, RIGHT_MU = 5, 6
-COLUMNS_COUNT = 7
+RADIUS, BANK_HELP = 7, 8  # of the curve; and what gravity on the bank adds to the square of a safe speed
+TRACK_X, TRACK_Y, TRACK_HEADING = 9, 10, 11
+COLUMNS_COUNT = 12
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,23 +40,17 @@ class Track:
         start_m: Station of the first sample.
         step_m: Between samples, about a metre.
         lines: Curvature, grade, cross slope, change of grade and of cross slope per metre, friction times wear on the
-            left and on the right. (n, 7)
-        x_m: Centre line, east. (n,)
-        y_m: North. (n,)
-        heading_rad: Unwrapped. (n,)
+            left and on the right, radius, help of the bank, centre line east and north, unwrapped heading. (n, 12)
     """
 
     start_m: float
     step_m: float
     lines: FloatArray
-    x_m: FloatArray
-    y_m: FloatArray
-    heading_rad: FloatArray
 
     @property
-    def station_m(self) -> FloatArray:
-        """Stations of the samples. (n,)"""
-        return self.start_m + self.step_m * np.arange(len(self.x_m), dtype=np.float64)
+    def length_m(self) -> float:
+        """From the first to the last sample."""
+        return self.step_m * (len(self.lines) - 1)
 
 
 def track_of(section: RoadSection, plan: PassagePlan) -> Track:
@@ -61,10 +63,39 @@ def track_of(section: RoadSection, plan: PassagePlan) -> Track:
         section: The road.
         plan: For the lengths of approach and exit, and for friction and wear.
     """
+    return with_friction(bare_track_of(section, approach_m=plan.approach_m, exit_m=plan.exit_m), plan)
+
+
+def with_friction(bare: Track, plan: PassagePlan) -> Track:
+    """Return a track with the friction that a plan asks for.
+
+    Args:
+        bare: From `bare_track_of`.
+        plan: For friction, wear and pressure.
+    """
+    lines = bare.lines.copy()
+    known = plan.friction_profile
+    if known is None:
+        lines[:, LEFT_MU : RIGHT_MU + 1] = plan.base_friction_mu * plan.tyre_factor
+    else:
+        station = bare.start_m + bare.step_m * np.arange(len(lines), dtype=np.float64)
+        lines[:, LEFT_MU] = np.interp(station, known.station_m, known.left_mu) * plan.tyre_factor
+        lines[:, RIGHT_MU] = np.interp(station, known.station_m, known.right_mu) * plan.tyre_factor
+    return replace(bare, lines=lines)
+
+
+def bare_track_of(section: RoadSection, *, approach_m: float, exit_m: float) -> Track:
+    """Return the road to drive without friction, the same for all who drive it from and to the same places.
+
+    Args:
+        section: The road.
+        approach_m: Driven before the section starts.
+        exit_m: Driven beyond its end.
+    """
     profile = section.profile
     step = float(profile.station_m[1] - profile.station_m[0])
-    before = int(np.ceil((plan.approach_m + RUN_IN_M) / step))
-    after = int(np.ceil((plan.exit_m + RUN_OUT_M) / step))
+    before = int(np.ceil((approach_m + RUN_IN_M) / step))
+    after = int(np.ceil((exit_m + RUN_OUT_M) / step))
     station = np.concatenate(
         [
             step * np.arange(-before, 0),
@@ -72,8 +103,8 @@ def track_of(section: RoadSection, plan: PassagePlan) -> Track:
             profile.station_m[-1] + step * np.arange(1, after + 1),
         ]
     )
-    ease_in = min(EASING_M, 0.5 * plan.approach_m + 1e-9)
-    ease_out = min(EASING_M, 0.5 * plan.exit_m + 1e-9)
+    ease_in = min(EASING_M, 0.5 * approach_m + 1e-9)
+    ease_out = min(EASING_M, 0.5 * exit_m + 1e-9)
     fade = np.interp(station, [-ease_in, 0.0, section.length_m, section.length_m + ease_out], [0.0, 1.0, 1.0, 0.0])
     curvature = fade * _extended(profile.curvature_1pm, before=before, after=after)
     cross_slope = fade * _extended(profile.cross_slope_ratio, before=before, after=after)
@@ -87,24 +118,14 @@ def track_of(section: RoadSection, plan: PassagePlan) -> Track:
     x = _line(np.cos(heading), profile.x_m, step, before=before, after=after)
     y = _line(np.sin(heading), profile.y_m, step, before=before, after=after)
 
-    if plan.friction_profile is None:
-        left = right = np.full(len(station), plan.base_friction_mu)
-    else:
-        known = plan.friction_profile
-        left = np.interp(station, known.station_m, known.left_mu)
-        right = np.interp(station, known.station_m, known.right_mu)
-    lines = np.column_stack(
-        [
-            curvature,
-            grade,
-            cross_slope,
-            np.gradient(grade, step),
-            np.gradient(cross_slope, step),
-            left * plan.tyre_factor,
-            right * plan.tyre_factor,
-        ]
-    )
-    return Track(start_m=float(station[0]), step_m=step, lines=lines, x_m=x, y_m=y, heading_rad=heading)
+    radius = 1.0 / np.maximum(np.abs(curvature), STRAIGHT_1PM)
+    bank_help = -GRAVITY_MPS2 * cross_slope * np.sign(curvature) * radius
+    friction = np.full(len(station), np.nan)  # none yet
+    columns = [
+        *(curvature, grade, cross_slope, np.gradient(grade, step), np.gradient(cross_slope, step)),
+        *(friction, friction, radius, bank_help, x, y, heading),
+    ]
+    return Track(start_m=float(station[0]), step_m=step, lines=np.column_stack(columns))
 
 
 def _extended(values: FloatArray, *, before: int, after: int) -> FloatArray:

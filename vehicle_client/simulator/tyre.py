@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 
-from vehicle_client.simulator.compilation import kernel
+from vehicle_client.simulator.compilation import formula
 from vehicle_client.simulator.vehicle import Tyre
 
 SPEED_FLOOR_MPS = 0.01
@@ -27,13 +27,14 @@ LOAD_LIMIT_RATIO = 3.5
 _NO_SLIP2 = 1e-24
 
 
-@kernel
+@formula
 def slip_slope(
     slip_x_ratio: float, slip_y_ratio: float, load_n: float, friction_mu: float, tyre: Tyre
 ) -> tuple[float, float, float, float]:
     """Return the secant slope force over normalised slip, both normalisations, and slip over the slip of the peak.
 
-    Forces follow as slope * slip / normalisation per axis. Zero load gives zero slope.
+    Forces follow as slope * slip / normalisation per axis. Zero load gives zero slope. Both branches of the curve are
+    computed and one is chosen, so that cars side by side take the same path through the code.
 
     Args:
         slip_x_ratio: Longitudinal, driving positive.
@@ -46,19 +47,21 @@ def slip_slope(
         Slope in N, normalisation of x, normalisation of y, slip over peak slip.
     """
     u = min(load_n / tyre.nominal_load_n, LOAD_LIMIT_RATIO)
-    load = u * tyre.nominal_load_n
     kx = friction_mu / tyre.peak_x1_ratio
     ky = friction_mu / tyre.peak_y1_ratio
     w = u - 1.0
 
-    dfx = load * (tyre.slope_x1_ratio + (tyre.slope_x2_ratio - tyre.slope_x1_ratio) * w)
-    dfy = load * (tyre.slope_y1_ratio + (tyre.slope_y2_ratio - tyre.slope_y1_ratio) * w)
-    fmx = kx * load * (tyre.peak_x1_ratio + (tyre.peak_x2_ratio - tyre.peak_x1_ratio) * w)
-    fmy = ky * load * (tyre.peak_y1_ratio + (tyre.peak_y2_ratio - tyre.peak_y1_ratio) * w)
+    # Everything per newton of load.
+    dfx = tyre.slope_x1_ratio + (tyre.slope_x2_ratio - tyre.slope_x1_ratio) * w
+    dfy = tyre.slope_y1_ratio + (tyre.slope_y2_ratio - tyre.slope_y1_ratio) * w
+    fmx = kx * (tyre.peak_x1_ratio + (tyre.peak_x2_ratio - tyre.peak_x1_ratio) * w)
+    fmy = ky * (tyre.peak_y1_ratio + (tyre.peak_y2_ratio - tyre.peak_y1_ratio) * w)
     smx = kx * (tyre.peak_slip_x1_ratio + (tyre.peak_slip_x2_ratio - tyre.peak_slip_x1_ratio) * w)
     smy = ky * (tyre.peak_slip_y1_ratio + (tyre.peak_slip_y2_ratio - tyre.peak_slip_y1_ratio) * w)
-    if load <= 0.0:
-        return 0.0, 1.0, 1.0, 0.0
+    fsx = kx * (tyre.slide_x1_ratio + (tyre.slide_x2_ratio - tyre.slide_x1_ratio) * w)
+    fsy = ky * (tyre.slide_y1_ratio + (tyre.slide_y2_ratio - tyre.slide_y1_ratio) * w)
+    ssx = kx * (tyre.slide_slip_x1_ratio + (tyre.slide_slip_x2_ratio - tyre.slide_slip_x1_ratio) * w)
+    ssy = ky * (tyre.slide_slip_y1_ratio + (tyre.slide_slip_y2_ratio - tyre.slide_slip_y1_ratio) * w)
 
     # Both axes are brought to slips of comparable effect: hx = smx / (smx + smy) + qx / (qx + qy) with q = fm / df.
     both = smx + smy
@@ -67,47 +70,42 @@ def slip_slope(
     hx = (smx * cross + cross_x * both) / (both * cross)
     hy = 2.0 - hx
     inverse = 1.0 / (hx * hy)
-    sx, sy = slip_x_ratio * hy * inverse, slip_y_ratio * hx * inverse
+    to_x, to_y = hy * inverse, hx * inverse
+    sx, sy = slip_x_ratio * to_x, slip_y_ratio * to_y
     # Squares of the direction's cosine and sine; at no slip at all, any direction will do.
     sx2, sy2 = sx * sx + _NO_SLIP2, sy * sy + _NO_SLIP2
     s2 = sx2 + sy2
     share = 1.0 / s2
     c2, d2 = sx2 * share, sy2 * share
 
-    df2 = (dfx * hx) ** 2 * c2 + (dfy * hy) ** 2 * d2
-    fm2 = fmx * fmx * c2 + fmy * fmy * d2
-    sm2 = (smx * hy * inverse) ** 2 * c2 + (smy * hx * inverse) ** 2 * d2
-    z = math.sqrt(s2 / sm2)
-    if z < 1.0:
-        return math.sqrt(df2) / (1.0 + (z + math.sqrt(df2 * sm2 / fm2) - 2.0) * z), hx, hy, z
-
-    fsx = kx * load * (tyre.slide_x1_ratio + (tyre.slide_x2_ratio - tyre.slide_x1_ratio) * w)
-    fsy = ky * load * (tyre.slide_y1_ratio + (tyre.slide_y2_ratio - tyre.slide_y1_ratio) * w)
-    ssx = kx * (tyre.slide_slip_x1_ratio + (tyre.slide_slip_x2_ratio - tyre.slide_slip_x1_ratio) * w)
-    ssy = ky * (tyre.slide_slip_y1_ratio + (tyre.slide_slip_y2_ratio - tyre.slide_slip_y1_ratio) * w)
+    df = math.sqrt((dfx * hx) ** 2 * c2 + (dfy * hy) ** 2 * d2)
+    fm = math.sqrt(fmx * fmx * c2 + fmy * fmy * d2)
+    sm = math.sqrt((smx * to_x) ** 2 * c2 + (smy * to_y) ** 2 * d2)
     fs = math.sqrt(fsx * fsx * c2 + fsy * fsy * d2)
-    ss = math.sqrt((ssx / hx) ** 2 * c2 + (ssy / hy) ** 2 * d2)
+    ss = math.sqrt((ssx * to_x) ** 2 * c2 + (ssy * to_y) ** 2 * d2)
     s = math.sqrt(s2)
-    return _beyond_peak(s, math.sqrt(df2), math.sqrt(fm2), math.sqrt(sm2), fs, ss) / s, hx, hy, z
+    z = s / sm
+    rising = df / (1.0 + (z + df * sm / fm - 2.0) * z)
+    slope = rising if z < 1.0 else _beyond_peak(s, df, fm, sm, fs, ss) / s
+    return slope * u * tyre.nominal_load_n, hx, hy, z
 
 
-@kernel
+@formula
 def _beyond_peak(s: float, df: float, fm: float, sm: float, fs: float, ss: float) -> float:
-    if s >= ss:
-        return fs
-    # The first parabola has the curvature that the rising branch ends with; the second meets the sliding force.
+    # The first parabola has the curvature that the rising branch ends with; the second meets the sliding force. Where
+    # they do not meet in time, a cubic takes their place.
     a = (fm / sm) ** 2 / (df * sm)
     join = sm + (fm - fs) / (a * (ss - sm))
-    if join >= ss:
-        t = (s - sm) / (ss - sm)
-        return fm - (fm - fs) * t * t * (3.0 - 2.0 * t)
-    if s <= join:
-        return fm - a * (s - sm) ** 2
-    b = a * (join - sm) / (ss - join)
-    return fs + b * (ss - s) ** 2
+    first = fm - a * (s - sm) ** 2
+    second = fs + a * (join - sm) / (ss - join) * (ss - s) ** 2
+    t = (s - sm) / (ss - sm)
+    cubic = fm - (fm - fs) * t * t * (3.0 - 2.0 * t)
+    falling = first if s <= join else second
+    falling = falling if join < ss else cubic
+    return falling if s < ss else fs
 
 
-@kernel
+@formula
 def steady_force_n(
     slip_x_ratio: float, slip_y_ratio: float, load_n: float, friction_mu: float, tyre: Tyre
 ) -> tuple[float, float]:
@@ -124,7 +122,7 @@ def steady_force_n(
     return slope * slip_x_ratio / hx, slope * slip_y_ratio / hy
 
 
-@kernel
+@formula
 def built_up_force_n(
     bristle_m: float,
     sliding_mps: float,

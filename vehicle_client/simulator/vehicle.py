@@ -111,6 +111,9 @@ class Vehicle(NamedTuple):
         brake_lag_s: First-order lag of brake and drive torque. Estimate.
         steer_limit_rad: Largest mean angle of the front wheels. Estimate.
         steer_rate_limit_radps: What hands and steering gear manage. Estimate (600 degrees/s at the wheel, ratio 16).
+        steer_compliance_radpn: How far the front wheels give way to the lateral force of their axle. Estimate (one
+            degree per g of lateral acceleration, steering gear and suspension together).
+        steer_compliance_lag_s: First-order lag with which they give way. Estimate.
         tyre: Of all four wheels.
     """
 
@@ -142,6 +145,8 @@ class Vehicle(NamedTuple):
     brake_lag_s: float = 0.08
     steer_limit_rad: float = 0.60
     steer_rate_limit_radps: float = 0.65
+    steer_compliance_radpn: float = 1.63e-6
+    steer_compliance_lag_s: float = 0.02
     tyre: Tyre = Tyre()
 
     @property

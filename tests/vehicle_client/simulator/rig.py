@@ -3,7 +3,9 @@
 import numpy as np
 
 from roadgrip.section import build_section
-from vehicle_client.simulator import chassis
+from vehicle_client.simulator import chassis, lanes
+from vehicle_client.simulator.plan import NO_SYSTEMS, UNIMPRESSED
+from vehicle_client.simulator.seats import place_car
 from vehicle_client.simulator.vehicle import XC90
 
 
@@ -11,30 +13,37 @@ class Rig:
     """The car on a plane of one friction, bank and curvature, with the hands and feet of a machine."""
 
     def __init__(self, *, speed_mps=20.0, mu=0.8, cross_slope_ratio=0.0, grade_ratio=0.0, step_s=0.002, vehicle=XC90):
-        self.vehicle = vehicle
         self.step_s = step_s
-        self.body = np.zeros(chassis.BODY_SIZE)
-        self.wheels = np.zeros((4, chassis.WHEEL_SIZE))
-        self.road = np.zeros(5)
-        self.road[chassis.CROSS_SLOPE] = cross_slope_ratio
-        self.road[chassis.GRADE] = grade_ratio
-        self.body[chassis.VELOCITY_X] = speed_mps
-        self.wheels[:, chassis.SPIN] = speed_mps / vehicle.tyre.rolling_radius_m
-        self.wheels[:, chassis.FRICTION] = mu
+        self.state = np.zeros(lanes.STATE_SIZE)
+        for lane in range(lanes.LANES):
+            place_car(self.state, lane, vehicle=vehicle, driver=UNIMPRESSED, stability=NO_SYSTEMS)
+        self.of_wheels(lanes.CROSS_SLOPE)[:] = cross_slope_ratio
+        self.of_wheels(lanes.GRADE)[:] = grade_ratio
+        self.of_wheels(lanes.VELOCITY_X)[:] = speed_mps
+        self.of_wheels(lanes.SPIN)[:] = speed_mps / vehicle.tyre.rolling_radius_m
+        self.of_wheels(lanes.FRICTION)[:] = mu
+
+    def of_wheels(self, row):
+        """Return a row of the first lane, one value per wheel; it may be written."""
+        return self.state[row : row + lanes.WHEELS : lanes.LANES]
+
+    def of_body(self, row):
+        """Return a value of the first lane."""
+        return float(self.state[row])
 
     def run(self, seconds, *, steer_rad=0.0, steer_rate_radps=0.0, hold_speed_mps=None, brake_nm=0.0, on_circle=False):
         """Drive, and return lateral acceleration, yaw rate and speed at every step."""
         history = np.empty((round(seconds / self.step_s), 3))
         for k in range(len(history)):
-            self.body[chassis.STEER] = steer_rad + steer_rate_radps * k * self.step_s
-            self.wheels[:, chassis.BRAKE_NM] = brake_nm
+            self.of_wheels(lanes.STEER)[:] = steer_rad + steer_rate_radps * k * self.step_s
+            self.of_wheels(lanes.BRAKE_NM)[:] = brake_nm
             if hold_speed_mps is not None:
-                self.wheels[:, chassis.DRIVE_NM] = 2_000.0 * (hold_speed_mps - self.body[chassis.VELOCITY_X])
+                self.of_wheels(lanes.DRIVE_NM)[:] = 2_000.0 * (hold_speed_mps - self.of_body(lanes.VELOCITY_X))
             if on_circle:
                 # The surface turns with the car, so that the bank stays across it.
-                self.body[chassis.ANGLE] = 0.0
-            chassis.advance(self.body, self.wheels, self.road, self.vehicle, self.step_s)
-            history[k] = self.body[[chassis.ACCEL_Y, chassis.YAW_RATE, chassis.VELOCITY_X]]
+                self.of_wheels(lanes.ANGLE)[:] = 0.0
+            chassis.advance(self.state, self.step_s)
+            history[k] = [self.of_body(row) for row in (lanes.ACCEL_Y, lanes.YAW_RATE, lanes.VELOCITY_X)]
         return history
 
 

@@ -3,7 +3,7 @@ import pytest
 
 from roadgrip.units import GRAVITY_MPS2
 from tests.vehicle_client.simulator.rig import Rig
-from vehicle_client.simulator import chassis
+from vehicle_client.simulator import lanes
 from vehicle_client.simulator.driver import understeer_gradient_s2pm
 from vehicle_client.simulator.vehicle import XC90
 
@@ -15,7 +15,7 @@ def test_a_gentle_steady_circle_has_the_linear_understeer(speed_mps):
     steer = 0.2 * XC90.wheelbase_m / speed_mps**2  # some 0.2 m/s2
     rig = Rig(speed_mps=speed_mps)
     yaw = rig.run(6.0, steer_rad=steer, hold_speed_mps=speed_mps)[-1, 1]
-    speed = rig.body[chassis.VELOCITY_X]
+    speed = rig.of_body(lanes.VELOCITY_X)
     expected = speed * steer / (XC90.wheelbase_m + understeer_gradient_s2pm(XC90) * speed**2)
     assert yaw == pytest.approx(expected, rel=0.025)  # drive force and air drag are not in it
 
@@ -56,9 +56,9 @@ def test_the_best_braking_is_nearly_what_friction_gives(mu):
     for brake_nm in np.linspace(0.7, 1.1, 9) * mu * XC90.mass_kg * GRAVITY_MPS2 / 4.0 * XC90.tyre.rolling_radius_m:
         rig = Rig(speed_mps=25.0, mu=mu)
         rig.run(0.6, brake_nm=brake_nm)
-        before = rig.body[chassis.VELOCITY_X]
+        before = rig.of_body(lanes.VELOCITY_X)
         rig.run(0.4, brake_nm=brake_nm)
-        best = max(best, (before - rig.body[chassis.VELOCITY_X]) / 0.4)
+        best = max(best, (before - rig.of_body(lanes.VELOCITY_X)) / 0.4)
     # Equal torques cannot use both axles' grip fully, since braking moves load to the front.
     assert 0.80 * mu * GRAVITY_MPS2 < best < 1.06 * mu * GRAVITY_MPS2
 
@@ -66,10 +66,12 @@ def test_the_best_braking_is_nearly_what_friction_gives(mu):
 def test_a_parked_car_stays_parked_on_a_banked_slope():
     rig = Rig(speed_mps=0.0, cross_slope_ratio=-0.08, grade_ratio=0.05)
     rig.run(12.0, brake_nm=2_000.0)
-    assert np.abs(rig.body[[chassis.VELOCITY_X, chassis.VELOCITY_Y, chassis.YAW_RATE]]).max() < 1e-3
+    assert (
+        np.abs([rig.of_body(lanes.VELOCITY_X), rig.of_body(lanes.VELOCITY_Y), rig.of_body(lanes.YAW_RATE)]).max() < 1e-3
+    )
     # The accelerometer sees gravity's components: uphill forward, and towards the right of a car banked to the left.
-    assert rig.body[chassis.FORCE_X] == pytest.approx(0.05 * GRAVITY_MPS2, rel=0.02)
-    assert rig.body[chassis.FORCE_Y] == pytest.approx(-0.08 * GRAVITY_MPS2, rel=0.02)
+    assert rig.of_body(lanes.FORCE_X) == pytest.approx(0.05 * GRAVITY_MPS2, rel=0.02)
+    assert rig.of_body(lanes.FORCE_Y) == pytest.approx(-0.08 * GRAVITY_MPS2, rel=0.02)
 
 
 def test_crawling_in_a_tight_circle_is_calm():
@@ -81,12 +83,12 @@ def test_crawling_in_a_tight_circle_is_calm():
 def test_a_car_that_rolls_free_loses_what_air_and_tyres_take():
     rig = Rig(speed_mps=30.0)
     rig.run(1.0)
-    start = rig.body[chassis.VELOCITY_X]
+    start = rig.of_body(lanes.VELOCITY_X)
     rig.run(10.0)
-    mean = 0.5 * (start + rig.body[chassis.VELOCITY_X])
+    mean = 0.5 * (start + rig.of_body(lanes.VELOCITY_X))
     inertia = XC90.mass_kg + 4.0 * XC90.wheel_inertia_kgm2 / XC90.tyre.rolling_radius_m**2
     lost = XC90.drag_npm2ps2_ratio * mean**2 + XC90.tyre.rolling_resistance_ratio * XC90.mass_kg * GRAVITY_MPS2
-    assert (start - rig.body[chassis.VELOCITY_X]) / 10.0 == pytest.approx(lost / inertia, rel=0.01)
+    assert (start - rig.of_body(lanes.VELOCITY_X)) / 10.0 == pytest.approx(lost / inertia, rel=0.01)
 
 
 def test_a_turning_car_gains_no_energy_from_turning():
@@ -98,14 +100,14 @@ def test_a_turning_car_gains_no_energy_from_turning():
 def test_wheel_loads_carry_the_car():
     rig = Rig(speed_mps=20.0)
     rig.run(5.0, steer_rad=0.03, hold_speed_mps=20.0)
-    load = rig.wheels[:, chassis.LOAD]
+    load = rig.of_wheels(lanes.LOAD)
     assert load.sum() == pytest.approx(XC90.mass_kg * GRAVITY_MPS2, rel=1e-6)
     # A left turn loads the right wheels; the moments about the ground line balance.
     shift = (load[1] - load[0]) * XC90.front_track_m / 2 + (load[3] - load[2]) * XC90.rear_track_m / 2
     arm = XC90.cog_height_m - (0.08 * XC90.rear_axle_m + 0.12 * XC90.front_axle_m) / XC90.wheelbase_m
-    lean = XC90.mass_kg * GRAVITY_MPS2 * arm * rig.body[chassis.ROLL]
-    assert shift == pytest.approx(XC90.mass_kg * rig.body[chassis.FORCE_Y] * XC90.cog_height_m + lean, rel=0.01)
-    assert rig.body[chassis.ROLL] > 0.0
+    lean = XC90.mass_kg * GRAVITY_MPS2 * arm * rig.of_body(lanes.ROLL)
+    assert shift == pytest.approx(XC90.mass_kg * rig.of_body(lanes.FORCE_Y) * XC90.cog_height_m + lean, rel=0.01)
+    assert rig.of_body(lanes.ROLL) > 0.0
 
 
 def test_the_body_leans_as_its_springs_say():
@@ -113,11 +115,14 @@ def test_the_body_leans_as_its_springs_say():
     rig.run(4.0, steer_rad=0.02, hold_speed_mps=20.0)
     arm = XC90.cog_height_m - (0.08 * XC90.rear_axle_m + 0.12 * XC90.front_axle_m) / XC90.wheelbase_m
     spring = XC90.roll_stiffness_nmprad - XC90.mass_kg * GRAVITY_MPS2 * arm
-    assert rig.body[chassis.ROLL] == pytest.approx(XC90.mass_kg * arm * rig.body[chassis.FORCE_Y] / spring, rel=0.01)
+    assert rig.of_body(lanes.ROLL) == pytest.approx(XC90.mass_kg * arm * rig.of_body(lanes.FORCE_Y) / spring, rel=0.01)
 
 
 def linear_single_track(*, speed_mps, steer_rad, seconds, step_s=0.002):
-    """Return the yaw rate of the textbook model after a step of the steering, tyres with relaxation length."""
+    """Return the yaw rate of the textbook model after a step of the steering.
+
+    Tyres with relaxation length; a steering that gives way to the lateral force of its axle.
+    """
     a, b = XC90.front_axle_m, XC90.rear_axle_m
     stiffness, length = [], []
     for lever in (b, a):
@@ -126,10 +131,13 @@ def linear_single_track(*, speed_mps, steer_rad, seconds, step_s=0.002):
         slope = load * (XC90.tyre.slope_y1_ratio + (XC90.tyre.slope_y2_ratio - XC90.tyre.slope_y1_ratio) * u)
         stiffness.append(2.0 * slope)
         length.append(slope / XC90.tyre.stiffness_y_npm)
-    vy = yaw = front = rear = 0.0
+    vy = yaw = front = rear = yielded = 0.0
     history = []
     for _ in range(round(seconds / step_s)):
-        front += (stiffness[0] * (steer_rad - (vy + a * yaw) / speed_mps) - front) * step_s * speed_mps / length[0]
+        yielded += (XC90.steer_compliance_radpn * front - yielded) * step_s / XC90.steer_compliance_lag_s
+        front += (
+            (stiffness[0] * (steer_rad - yielded - (vy + a * yaw) / speed_mps) - front) * step_s * speed_mps / length[0]
+        )
         rear += (stiffness[1] * (b * yaw - vy) / speed_mps - rear) * step_s * speed_mps / length[1]
         vy += ((front + rear) / XC90.mass_kg - speed_mps * yaw) * step_s
         yaw += (a * front - b * rear) / XC90.yaw_inertia_kgm2 * step_s
@@ -150,7 +158,7 @@ def test_bank_takes_over_a_part_of_cornering():
     helped = banked.run(5.0, steer_rad=0.02, hold_speed_mps=20.0, on_circle=True)
     assert helped[-1, 1] > plain[-1, 1]
     # At the same yaw rate the accelerometer would see 0.08 g less; here: acceleration minus gravity's share.
-    assert banked.body[chassis.FORCE_Y] == pytest.approx(helped[-1, 0] - 0.0797 * GRAVITY_MPS2, rel=0.01)
+    assert banked.of_body(lanes.FORCE_Y) == pytest.approx(helped[-1, 0] - 0.0797 * GRAVITY_MPS2, rel=0.01)
 
 
 def test_left_and_right_are_mirror_images():

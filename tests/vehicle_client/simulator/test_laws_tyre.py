@@ -160,7 +160,8 @@ def relaxation_m(speed_mps):
     Between samples the slip is a straight line, so the sampled first-order law is exact with both its ends.
     """
     steer = np.concatenate([np.zeros(3), np.full(60, 0.004)])
-    motion = drive_open_loop(Plane(4.0), speed_mps=speed_mps, steer_rad=steer, step_s=0.0005)
+    rigid = XC90._replace(steer_compliance_radpn=0.0)
+    motion = drive_open_loop(Plane(4.0), speed_mps=speed_mps, steer_rad=steer, step_s=0.0005, vehicle=rigid)
     angle = steer - (motion.velocity_y_mps + XC90.front_axle_m * motion.yaw_rate_radps) / motion.velocity_x_mps
     force = motion.wheel_force_y_n[:, :2].sum(1)
     rows = np.column_stack([force[4:-1], angle[4:-1], angle[5:]])

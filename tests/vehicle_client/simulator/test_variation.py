@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from roadgrip.sections import read_section
 from roadgrip.units import GRAVITY_MPS2
-from vehicle_client.simulator import chassis
+from tests.vehicle_client.simulator.rig import Rig
+from vehicle_client.simulator import chassis, lanes
 from vehicle_client.simulator.driver import understeer_gradient_s2pm
 from vehicle_client.simulator.plan import PassagePlan
 from vehicle_client.simulator.run import simulate_passage
@@ -28,9 +29,9 @@ def test_every_car_understeers_at_small_lateral_acceleration(vehicle: Vehicle) -
 
 @given(vehicle=vehicles)
 def test_every_wheel_bears_a_load_that_its_tyre_is_made_for(vehicle: Vehicle) -> None:
-    body, wheels, road = np.zeros(chassis.BODY_SIZE), np.zeros((4, chassis.WHEEL_SIZE)), np.zeros(5)
-    chassis.set_loads(body, wheels, road, vehicle)
-    load_n = wheels[:, chassis.LOAD]
+    rig = Rig(speed_mps=0.0, vehicle=vehicle)
+    chassis.advance(rig.state, rig.step_s)
+    load_n = rig.of_wheels(lanes.LOAD)
     assert load_n.sum() == pytest.approx(vehicle.mass_kg * GRAVITY_MPS2)
     assert (load_n > 0.5 * vehicle.tyre.nominal_load_n).all()
     assert (load_n < 1.6 * vehicle.tyre.nominal_load_n).all()
