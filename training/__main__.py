@@ -20,7 +20,7 @@ from dataclasses import replace
 from importlib.metadata import version
 from importlib.resources import files
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import typer
@@ -29,7 +29,6 @@ from rich.table import Table
 
 from roadgrip.bundle import BundleManifest
 from roadgrip.errors import RoadgripError
-from training.bundling import write_bundle
 from training.cells import cells_of
 from training.cli_designs import (
     DEFAULT_SEED,
@@ -48,18 +47,13 @@ from training.cli_designs import (
 )
 from training.dataset import Runs, read_runs
 from training.designs import Size, named_design
-from training.export import check_parity, parity_rows, to_onnx
-from training.fit_files import read_fit, read_trees, write_fit
-from training.regressor import (
-    FEWEST_ROADS,
-    ROAD_FOLDS_COUNT,
-    FitParameters,
-    Fitted,
-    fit,
-    mape_ratio_on_unseen_roads,
-)
+from training.fit_parameters import FitParameters
 from training.scenarios import Terms
 from vehicle_client.simulator.plan import SensorGrade
+
+# Trees and ONNX are imported where they are needed: workers that drive start from this module, too.
+if TYPE_CHECKING:
+    from training.regressor import Fitted
 
 BUNDLE_NAME = "roadgrip-global"
 DEFAULT_BUNDLE_FOLDER = Path(str(files("rsu_app") / "default_bundle"))
@@ -117,6 +111,8 @@ def fit_command(
 
     Example: roadgrip-train fit build/ideal --out build/fit
     """
+    from training.fit_files import write_fit
+
     runs = read_runs(data)
     parameters = FitParameters(trees_count=trees, depth_count=depth, seed=seed)
     fitted = _fit(runs, parameters)
@@ -135,6 +131,9 @@ def export(
 
     Example: roadgrip-train export build/fit --data build/ideal --out build/model.onnx
     """
+    from training.export import check_parity, parity_rows, to_onnx
+    from training.fit_files import read_trees
+
     trees = read_trees(fit_folder)
     runs = read_runs(data)
     model = to_onnx(trees)
@@ -160,6 +159,8 @@ def bundle(
 
     Example: roadgrip-train bundle build/ideal --fit build/fit --out build/bundle
     """
+    from training.fit_files import read_fit
+
     runs = read_runs(data)
     fitted, parameters = read_fit(fit_folder, runs=runs)
     manifest = _bundle(runs, fitted, out, name=name, command="roadgrip-train bundle", parameters=parameters)
@@ -210,6 +211,8 @@ def main() -> None:
 
 
 def _fit(runs: Runs, parameters: FitParameters) -> Fitted:
+    from training.regressor import FEWEST_ROADS, ROAD_FOLDS_COUNT, fit, mape_ratio_on_unseen_roads
+
     with progress_bar() as bar:
         task = bar.add_task(f"growing trees on {int(runs.usable.sum())} runs", total=parameters.trees_count, rate="")
         fitted = fit(runs, parameters, on_round=lambda done: bar.update(task, completed=done))
@@ -223,6 +226,8 @@ def _fit(runs: Runs, parameters: FitParameters) -> Fitted:
 def _bundle(
     runs: Runs, fitted: Fitted, out: Path, *, name: str, command: str, parameters: FitParameters
 ) -> BundleManifest:
+    from training.bundling import write_bundle
+
     tools = ("roadgrip", "numpy", "xgboost-cpu", "onnx", "onnxmltools", "onnxruntime")
     provenance = {
         "command": command,

@@ -9,7 +9,8 @@ from pathlib import Path
 import xgboost
 
 from training.dataset import DatasetError, Runs
-from training.regressor import FitParameters, Fitted, split_rows
+from training.fit_parameters import FitParameters
+from training.regressor import Fitted, split_rows
 
 _TREES_NAME = "trees.ubj"
 _RECORD_NAME = "fit.json"

@@ -11,6 +11,7 @@ import xgboost
 
 from roadgrip.units import FloatArray
 from training.dataset import DatasetError, Runs
+from training.fit_parameters import FitParameters
 
 RowIndices: TypeAlias = np.ndarray[tuple[int], np.dtype[np.intp]]
 """Rows of a table."""
@@ -20,27 +21,6 @@ HOLD_OUT_FRAC = 0.1
 ROAD_FOLDS_COUNT = 5
 FEWEST_ROADS = 10
 _FEWEST_RUNS = 50
-
-
-@dataclass(frozen=True, slots=True)
-class FitParameters:
-    """How the trees are grown.
-
-    Attributes:
-        trees_count: Boosting rounds.
-        depth_count: Levels of one tree.
-        learning_rate_ratio: Share of each tree's correction that is taken.
-        row_share_frac: Share of the rows each tree sees.
-        column_share_frac: Share of the features each tree sees.
-        seed: Of the split and of the trees.
-    """
-
-    trees_count: int = 500
-    depth_count: int = 6
-    learning_rate_ratio: float = 0.05
-    row_share_frac: float = 0.6
-    column_share_frac: float = 0.5
-    seed: int = 1
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,8 @@ from roadgrip.errors import BundleError
 from tests.training.runs import made_up_runs
 from training.bundling import GOLDEN_ROWS_COUNT, learn_envelope, write_bundle
 from training.export import onnx_estimate_mu, to_onnx
-from training.regressor import FitParameters, Fitted, fit
+from training.fit_parameters import FitParameters
+from training.regressor import Fitted, fit
 
 RUNS = made_up_runs(1500)
 

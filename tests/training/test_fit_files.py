@@ -8,7 +8,8 @@ import pytest
 from tests.training.runs import made_up_runs
 from training.dataset import DatasetError
 from training.fit_files import read_fit, read_trees, write_fit
-from training.regressor import FitParameters, estimate_mu, fit
+from training.fit_parameters import FitParameters
+from training.regressor import estimate_mu, fit
 
 PARAMETERS = FitParameters(trees_count=20, seed=3)
 

@@ -9,8 +9,8 @@ from roadgrip.errors import BundleError
 from tests.training.runs import made_up_runs, shuffled
 from training.dataset import DatasetError, Runs
 from training.export import check_parity, onnx_estimate_mu, parity_rows, to_onnx
+from training.fit_parameters import FitParameters
 from training.regressor import (
-    FitParameters,
     estimate_mu,
     fit,
     judge,
