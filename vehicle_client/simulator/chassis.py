@@ -35,6 +35,9 @@ from vehicle_client.simulator.lanes import (
     CROSS_SLOPE_STEP,
     CURVATURE,
     CURVATURE_STEP,
+    DRIFT_X,
+    DRIFT_Y,
+    DRIFT_YAW,
     DRIVE_NM,
     FORCE_X,
     FORCE_Y,
@@ -44,6 +47,7 @@ from vehicle_client.simulator.lanes import (
     GRADE_CHANGE,
     GRADE_CHANGE_STEP,
     GRADE_STEP,
+    HELD_STEER,
     LAGGED_X,
     LANES,
     LEVER_X,
@@ -58,10 +62,10 @@ from vehicle_client.simulator.lanes import (
     SLIDE,
     SLIP_X,
     SPIN,
+    SPIN_DRIFT,
     SPRUNG_V,
     SPRUNG_Z,
     STATION,
-    STEER,
     UNSPRUNG_V,
     UNSPRUNG_Z,
     VELOCITY_X,
@@ -91,7 +95,7 @@ def advance(state: FloatArray, step_s: float) -> None:
     for lane in range(LANES):
         give_way(state, lane, step_s)
         set_loads(state, lane)
-        set_hubs(state, lane)
+        set_hubs(state, lane, step_s)
     for wheel in range(WHEELS):
         shake(state, wheel, step_s)
         roll_wheel(state, wheel, step_s)
@@ -131,7 +135,7 @@ def give_way(state: FloatArray, lane: int, step_s: float) -> None:
     vehicle = vehicle_at(state, lane)
     force = state[WHEEL_FORCE_Y + lane] + state[WHEEL_FORCE_Y + LANES + lane]
     far = vehicle.steer_compliance_radpn * force
-    state[YIELDED + lane] += (far - state[YIELDED + lane]) * step_s / (vehicle.steer_compliance_lag_s + step_s)
+    state[YIELDED + lane] += (far - state[YIELDED + lane]) * step_s / vehicle.steer_compliance_lag_s
 
 
 @formula
@@ -168,32 +172,41 @@ def set_loads(state: FloatArray, lane: int) -> None:
 
 
 @formula
-def set_hubs(state: FloatArray, lane: int) -> None:
-    """Write the angle of each wheel and the velocity of its hub in the wheel's axes.
+def set_hubs(state: FloatArray, lane: int, step_s: float) -> None:
+    """Write the angle of each wheel and the velocity of its hub in the wheel's axes, in the middle of a time step.
+
+    The velocities there follow from how they changed over the step before.
 
     Args:
         state: Of all lanes.
         lane: Which one.
+        step_s: Time step.
     """
+    half_s = 0.5 * step_s
+    vx = state[VELOCITY_X + lane] + half_s * state[DRIFT_X + lane]
+    vy = state[VELOCITY_Y + lane] + half_s * state[DRIFT_Y + lane]
+    yaw = state[YAW_RATE + lane] + half_s * state[DRIFT_YAW + lane]
     # Ackermann: the front wheels' axes meet on the rear axle's.
-    steer = state[STEER + lane] - state[YIELDED + lane]
+    steer = state[HELD_STEER + lane] - state[YIELDED + lane]
     per_wheelbase = sine(steer) / cosine(steer)
-    _set_hub(state, lane, lane, per_wheelbase)
-    _set_hub(state, lane, LANES + lane, per_wheelbase)
-    _set_hub(state, lane, 2 * LANES + lane, 0.0)
-    _set_hub(state, lane, 3 * LANES + lane, 0.0)
+    _set_hub(state, lane, lane, vx, vy, yaw, per_wheelbase)
+    _set_hub(state, lane, LANES + lane, vx, vy, yaw, per_wheelbase)
+    _set_hub(state, lane, 2 * LANES + lane, vx, vy, yaw, 0.0)
+    _set_hub(state, lane, 3 * LANES + lane, vx, vy, yaw, 0.0)
 
 
 @formula
-def _set_hub(state: FloatArray, lane: int, wheel: int, per_wheelbase: float) -> None:
+def _set_hub(  # noqa: PLR0917 - the compiler knows no keyword-only arguments
+    state: FloatArray, lane: int, wheel: int, vx: float, vy: float, yaw: float, per_wheelbase: float
+) -> None:
     vehicle = vehicle_at(state, lane)
     x, y = state[LEVER_X + wheel], state[LEVER_Y + wheel]
-    hub_x = state[VELOCITY_X + lane] - state[YAW_RATE + lane] * y
-    hub_y = state[VELOCITY_Y + lane] + state[YAW_RATE + lane] * x
+    hub_x, hub_y = vx - yaw * y, vy + yaw * x
     turn = per_wheelbase / (1.0 - per_wheelbase * y / (vehicle.front_axle_m + vehicle.rear_axle_m))
     along = 1.0 / math.sqrt(1.0 + turn * turn)
     across = turn * along
     state[COSINE + wheel], state[SINE + wheel] = along, across
+    state[SPIN_DRIFT + wheel] = state[DRIFT_X + lane] / vehicle.tyre.rolling_radius_m
     state[ALONG + wheel] = hub_x * along + hub_y * across
     state[ACROSS + wheel] = hub_y * along - hub_x * across
 
@@ -237,25 +250,32 @@ def roll_wheel(state: FloatArray, wheel: int, step_s: float) -> None:
     along_mps, across_mps = state[ALONG + wheel], state[ACROSS + wheel]
     radius = tyre.rolling_radius_m
     spin = state[SPIN + wheel]
-    rolling = abs(spin) * radius + SPEED_FLOOR_MPS
-    slide_x = along_mps - spin * radius
-    slip_x, slip_y = -slide_x / rolling, -across_mps / rolling
+    mid_spin = spin + 0.5 * step_s * state[SPIN_DRIFT + wheel]
+    rolling = abs(mid_spin) * radius + SPEED_FLOOR_MPS
+    slip_x, slip_y = (mid_spin * radius - along_mps) / rolling, -across_mps / rolling
     load = state[LOAD + wheel]
     slope, hx, hy, over_peak = slip_slope(slip_x, slip_y, load, state[FRICTION + wheel], tyre)
 
     old = state[BRISTLE_X + wheel]
     _, force, loss = built_up_force_n(
-        old, slide_x, rolling, slope, hx, tyre.stiffness_x_npm, tyre.damping_x_nspm, step_s
+        old, along_mps - spin * radius, rolling, slope, hx, tyre.stiffness_x_npm, tyre.damping_x_nspm, step_s
     )
-    # I dw/dt = T - R (F - loss R dw): the force falls as the spin changes within the step.
+    # I dw/dt = T - R (F - loss R dw / 2): the force falls as the spin changes until the middle of the step.
     gain = step_s / vehicle.wheel_inertia_kgm2
-    total = 1.0 + gain * loss * radius * radius
+    total = 1.0 + 0.5 * gain * loss * radius * radius
     free = spin + gain * (state[DRIVE_NM + wheel] - radius * force) / total
     hold = gain * (state[BRAKE_NM + wheel] + tyre.rolling_resistance_ratio * load * radius) / total
     turned = math.copysign(max(0.0, abs(free) - hold), free)
     state[SPIN + wheel] = turned
     moved, force, _ = built_up_force_n(
-        old, along_mps - turned * radius, rolling, slope, hx, tyre.stiffness_x_npm, tyre.damping_x_nspm, step_s
+        old,
+        along_mps - 0.5 * (spin + turned) * radius,
+        rolling,
+        slope,
+        hx,
+        tyre.stiffness_x_npm,
+        tyre.damping_x_nspm,
+        step_s,
     )
     state[BRISTLE_X + wheel] = moved
     state[WHEEL_FORCE_X + wheel] = force
@@ -312,10 +332,12 @@ def move(state: FloatArray, lane: int, step_s: float) -> None:
     new_vx = vx * cos_turn + vy * sin_turn + accel_x * step_s
     new_vy = vy * cos_turn - vx * sin_turn + accel_y * step_s
     new_yaw = yaw + moment / vehicle.yaw_inertia_kgm2 * step_s
+    state[DRIFT_X + lane], state[DRIFT_Y + lane] = (new_vx - vx) / step_s, (new_vy - vy) / step_s
+    state[DRIFT_YAW + lane] = (new_yaw - yaw) / step_s
     state[VELOCITY_X + lane], state[VELOCITY_Y + lane], state[YAW_RATE + lane] = new_vx, new_vy, new_yaw
     state[FORCE_X + lane], state[FORCE_Y + lane] = force_x, force_y
     state[ACCEL_X + lane], state[ACCEL_Y + lane] = accel_x, accel_y
-    state[LAGGED_X + lane] += (force_x - state[LAGGED_X + lane]) * step_s / (vehicle.load_transfer_lag_s + step_s)
+    state[LAGGED_X + lane] += (force_x - state[LAGGED_X + lane]) * step_s / vehicle.load_transfer_lag_s
 
     roll, roll_rate = state[ROLL + lane], state[ROLL_RATE + lane]
     arm = vehicle.cog_height_m - (
@@ -328,8 +350,9 @@ def move(state: FloatArray, lane: int, step_s: float) -> None:
 
     # Along the road.
     curvature = state[CURVATURE + lane] / math.sqrt(1.0 + cross * cross)
-    pace = (new_vx * cos_angle - new_vy * sin_angle) / (1.0 - curvature * state[OFFSET + lane])
+    mean_vx, mean_vy, mean_yaw = 0.5 * (vx + new_vx), 0.5 * (vy + new_vy), 0.5 * (yaw + new_yaw)
+    pace = (mean_vx * cos_angle - mean_vy * sin_angle) / (1.0 - curvature * state[OFFSET + lane])
     state[PACE + lane] = pace
     state[STATION + lane] += pace * step_s
-    state[OFFSET + lane] += (new_vx * sin_angle + new_vy * cos_angle) * step_s
-    state[ANGLE + lane] = angle + (new_yaw - curvature * pace) * step_s
+    state[OFFSET + lane] += (mean_vx * sin_angle + mean_vy * cos_angle) * step_s
+    state[ANGLE + lane] = angle + (mean_yaw - curvature * pace) * step_s

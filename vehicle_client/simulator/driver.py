@@ -37,6 +37,7 @@ from vehicle_client.simulator.lanes import (
     GRADE,
     GRADIENT,
     GUESS_MU,
+    HELD_STEER,
     LANES,
     NEEDED_MPS2,
     OFFSET,
@@ -243,5 +244,8 @@ def turn_wheel(state: FloatArray, lane: int, step_s: float) -> None:
         step_s: Time step.
     """
     limit = vehicle_at(state, lane).steer_rate_limit_radps
-    rate = (state[STEER_WISH + lane] - state[STEER + lane]) / (driver_at(state, lane).steer_lag_s + step_s)
-    state[STEER + lane] += min(max(rate, -limit), limit) * step_s
+    before = state[STEER + lane]
+    rate = (state[STEER_WISH + lane] - before) / (driver_at(state, lane).steer_lag_s + 0.5 * step_s)
+    turn = min(max(rate, -limit), limit) * step_s
+    state[HELD_STEER + lane] = before + 0.5 * turn
+    state[STEER + lane] = before + turn

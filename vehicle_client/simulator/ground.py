@@ -103,8 +103,9 @@ def look_at_road(state: FloatArray, lane: int, lines: FloatArray, last_row: int,
         (CROSS_CHANGE, CROSS_CHANGE_STEP, TRACK_CROSS_CHANGE),
     ):
         here = _read(lines, row, part, column)
-        state[target + lane] = here
-        state[target_step + lane] = (_read(lines, next_row, next_part, column) - here) * per_step
+        change = (_read(lines, next_row, next_part, column) - here) * per_step
+        # In the middle of each time step, the first one to begin with.
+        state[target + lane], state[target_step + lane] = here + 0.5 * change, change
     state[LINE_X + lane] = _read(lines, row, part, TRACK_X)
     state[LINE_Y + lane] = _read(lines, row, part, TRACK_Y)
     state[LINE_HEADING + lane] = _read(lines, row, part, TRACK_HEADING)
@@ -116,8 +117,8 @@ def look_at_road(state: FloatArray, lane: int, lines: FloatArray, last_row: int,
         for side in range(2):
             here = _read(lines, row, part, LEFT_MU + side)
             state[FRICTION + wheel + side * LANES] = here
-            change = _read(lines, next_row, next_part, LEFT_MU + side) - here
-            state[FRICTION_STEP + wheel + side * LANES] = change * per_step
+            change = (_read(lines, next_row, next_part, LEFT_MU + side) - here) * per_step
+            state[FRICTION_STEP + wheel + side * LANES] = change
 
 
 @kernel

@@ -125,7 +125,7 @@ def _settle(state: FloatArray, lane: int) -> None:
         wheel = corner * LANES + lane
         state[SPRUNG_Z + wheel] = state[UNSPRUNG_Z + wheel] = state[ROAD_Z + wheel]
     set_loads(state, lane)
-    set_hubs(state, lane)
+    set_hubs(state, lane, 0.0)
 
 
 @kernel

@@ -95,14 +95,19 @@ _BODY_ROW = _ROAD_ROW + 16
     LAGGED_X,  # specific force as the springs have answered it
     ACCEL_X,
     ACCEL_Y,
+    DRIFT_X,  # change of the velocities per second, in axes that turn with the car
+    DRIFT_Y,
+    DRIFT_YAW,
     STEER,  # mean angle of the front wheels, as steering wheel and rack ask for it
+    HELD_STEER,  # the same in the middle of the time step
     YIELDED,  # by how much they give way to the tyres' lateral force
-) = rows(_BODY_ROW, 16)
-_WHEEL_ROW = _BODY_ROW + 16
+) = rows(_BODY_ROW, 20)
+_WHEEL_ROW = _BODY_ROW + 20
 
 # The wheels.
 (
     SPIN,
+    SPIN_DRIFT,  # its change per second as a free wheel would follow the body
     BRISTLE_X,
     BRISTLE_Y,
     LOAD,
@@ -124,8 +129,8 @@ _WHEEL_ROW = _BODY_ROW + 16
     ACROSS,  # and across it
     COSINE,  # of the wheel's angle
     SINE,
-) = rows(_WHEEL_ROW, 22)
-_MIND_ROW = _WHEEL_ROW + 22
+) = rows(_WHEEL_ROW, 23)
+_MIND_ROW = _WHEEL_ROW + 23
 
 # What goes on in the driver's head, and in the control unit.
 (

@@ -27,6 +27,7 @@ from vehicle_client.simulator.lanes import (
     DRIVE_NM,
     FRICTION,
     GRADE,
+    HELD_STEER,
     LANES,
     REPORT,
     REPORT_COUNT,
@@ -184,7 +185,7 @@ def _decide(state: FloatArray, accel_mps2: float, driven_share: float) -> None:
 @kernel
 def _act(state: FloatArray, steer_rad: float, hold_mps: float) -> None:
     for lane in range(LANES):
-        state[STEER + lane] = steer_rad
+        state[STEER + lane] = state[HELD_STEER + lane] = steer_rad
         state[ANGLE + lane] = 0.0  # the plane turns with the car
         limit_drive(state, lane)
     for wheel in range(WHEELS):
@@ -200,7 +201,7 @@ def _drive_open_loop(
     steps_count = int(SAMPLE_S / step_s + 0.5)
     for lane in range(LANES):
         set_loads(state, lane)
-        set_hubs(state, lane)
+        set_hubs(state, lane, 0.0)
     for k in range(len(steer_rad)):
         if len(accel_mps2) > 0:
             _decide(state, accel_mps2[k], 1.0)
@@ -210,7 +211,7 @@ def _drive_open_loop(
             log[column, k] = state[REPORT + column * WHEELS]
         following = steer_rad[min(k + 1, len(steer_rad) - 1)]
         for j in range(steps_count):
-            _act(state, steer_rad[k] + (following - steer_rad[k]) * j / steps_count, hold_mps)
+            _act(state, steer_rad[k] + (following - steer_rad[k]) * (j + 0.5) / steps_count, hold_mps)
             advance(state, step_s)
 
 

@@ -133,15 +133,15 @@ def built_up_force_n(
     damping_nspm: float,
     step_s: float,
 ) -> tuple[float, float, float]:
-    """Return the carcass deflection after a step, the force then, and how much the force falls per sliding speed.
+    """Return the carcass deflection after a step, the force in its middle, and how much it falls per sliding speed.
 
-    The deflection is integrated implicitly, stable at any speed and step. The force is
+    The deflection is integrated by the implicit midpoint rule, stable at any speed and step. The force is
     `force_at_rest - loss * sliding_mps` with everything that does not depend on the sliding speed in the former, so
     that the wheel spin can be solved together with it.
 
     Args:
         bristle_m: Deflection before the step.
-        sliding_mps: Speed of the contact patch over the ground, in the direction of the axis.
+        sliding_mps: Speed of the contact patch over the ground in the middle of the step, in the direction of the axis.
         rolling_mps: Rotation times radius, not negative, floor included.
         slope_n: From `slip_slope`.
         normalisation_ratio: From `slip_slope`, of this axis.
@@ -157,9 +157,8 @@ def built_up_force_n(
     """
     vt_h = rolling_mps * normalisation_ratio
     inertia = vt_h * damping_nspm + slope_n
-    total = inertia + step_s * vt_h * stiffness_npm
-    share = 1.0 / total
-    moved = (bristle_m * inertia - step_s * slope_n * sliding_mps) * share
-    force = stiffness_npm * moved + damping_nspm * (moved - bristle_m) / step_s
-    loss = (stiffness_npm * step_s + damping_nspm) * slope_n * share
-    return moved, force, loss
+    share = 1.0 / (inertia + 0.5 * step_s * vt_h * stiffness_npm)
+    speed = -(vt_h * stiffness_npm * bristle_m + slope_n * sliding_mps) * share
+    force = stiffness_npm * (bristle_m + 0.5 * step_s * speed) + damping_nspm * speed
+    loss = (0.5 * stiffness_npm * step_s + damping_nspm) * slope_n * share
+    return bristle_m + step_s * speed, force, loss

@@ -35,7 +35,7 @@ class Rig:
         """Drive, and return lateral acceleration, yaw rate and speed at every step."""
         history = np.empty((round(seconds / self.step_s), 3))
         for k in range(len(history)):
-            self.of_wheels(lanes.STEER)[:] = steer_rad + steer_rate_radps * k * self.step_s
+            self.of_wheels(lanes.HELD_STEER)[:] = steer_rad + steer_rate_radps * (k + 0.5) * self.step_s
             self.of_wheels(lanes.BRAKE_NM)[:] = brake_nm
             if hold_speed_mps is not None:
                 self.of_wheels(lanes.DRIVE_NM)[:] = 2_000.0 * (hold_speed_mps - self.of_body(lanes.VELOCITY_X))

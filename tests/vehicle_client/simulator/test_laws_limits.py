@@ -68,7 +68,7 @@ def test_the_car_corners_with_what_its_loaded_tyres_give(mu):
 @pytest.mark.parametrize("braking", [True, False])
 def test_the_car_brakes_and_accelerates_with_what_its_loaded_tyres_give(mu, braking):
     seen, expected = largest_longitudinal_force_mps2(mu, braking=braking)
-    assert seen == pytest.approx(expected, rel=0.015)
+    assert seen == pytest.approx(expected, rel=0.02)
 
 
 @pytest.mark.parametrize("mu", [0.2, 0.5, 1.0])
