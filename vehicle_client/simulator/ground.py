@@ -69,8 +69,9 @@ _SLOWEST_MPS = 3.0
 @formula
 def _place(position: float, last_row: int) -> tuple[int, float]:
     """Return the row before a position in a table, and the part of the way to the next."""
-    row = min(max(int(position), 0), last_row - 1)
-    return row, min(max(position - row, 0.0), 1.0)
+    inside = min(max(position, 0.0), float(last_row))
+    row = min(int(inside), last_row - 1)
+    return row, inside - row
 
 
 @formula

@@ -1,5 +1,6 @@
 import subprocess
 import sys
+from typing import NamedTuple
 
 from vehicle_client.simulator.compilation import code_digest
 from vehicle_client.simulator.journey import DIGEST
@@ -7,12 +8,17 @@ from vehicle_client.simulator.journey import DIGEST
 SCALE = 2.0
 
 
+class Record(NamedTuple):
+    first: float
+    second: float
+
+
 def inner(x):
     return SCALE * x
 
 
 def outer(x):
-    return inner(x) + 1.0
+    return inner(x) + Record(1.0, 2.0).first
 
 
 def digest_with(monkeypatch, name, value):
@@ -32,6 +38,15 @@ def test_the_digest_sees_an_edit_in_a_called_function(monkeypatch):
 def test_the_digest_sees_another_number(monkeypatch):
     before = code_digest(outer)
     assert digest_with(monkeypatch, "SCALE", 3.0) != before
+
+
+def test_the_digest_sees_another_order_of_a_record(monkeypatch):
+    class Turned(NamedTuple):
+        second: float
+        first: float
+
+    before = code_digest(outer)
+    assert digest_with(monkeypatch, "Record", Turned) != before
 
 
 def test_the_digest_is_the_same_in_another_process():

@@ -11,8 +11,10 @@ from roadgrip.section import build_section
 from roadgrip.units import GRAVITY_MPS2, kph_to_mps
 from tests.vehicle_client.simulator.rig import curvy_road
 from vehicle_client.estimation.trace import check_trace
+from vehicle_client.simulator.lanes import LANES
 from vehicle_client.simulator.run import (
     NO_SYSTEMS,
+    Braking,
     DriveOutcome,
     Driver,
     DriverKind,
@@ -22,6 +24,7 @@ from vehicle_client.simulator.run import (
     SensorGrade,
     compiled_cache_key,
     draw_plan,
+    each_passage,
     simulate_passage,
     simulate_passages,
 )
@@ -54,13 +57,47 @@ def test_a_drive_is_a_valid_trace_over_approach_section_and_exit():
     assert drive.trace.gnss is None
 
 
-def test_the_same_plan_gives_the_same_drive_alone_and_in_any_batch(rng):
-    plans = [draw_plan(rng, section=ROAD, base_friction_mu=mu) for mu in (0.2, 0.35, 0.7)]
-    batch = simulate_passages(ROAD, plans)
-    backwards = simulate_passages(ROAD, plans[::-1])[::-1]
-    for plan, one, two in zip(plans, batch, backwards, strict=True):
+@pytest.fixture(scope="module")
+def mixed_plans():
+    """Return more plans than there are lanes, with other cars, surfaces, systems, approaches, orders and frictions."""
+    rng = np.random.default_rng(6)
+    plans = [draw_plan(rng, section=ROAD, base_friction_mu=(0.2, 0.35, 0.7)[i % 3]) for i in range(LANES + 7)]
+    plans[1] = replace(plans[1], stability=NO_SYSTEMS)
+    plans[4] = replace(plans[4], roughness=None, approach_m=20.0)
+    plans[6] = replace(plans[6], vehicle=plans[6].vehicle._replace(mass_kg=2_500.0), pressure_bar=2.2)
+    plans[9] = replace(plans[9], braking=Braking(station_m=40.0, decel_mps2=3.0, end_speed_mps=6.0), exit_m=10.0)
+    return plans
+
+
+def test_the_same_plan_gives_the_same_drive_alone_and_in_any_batch(mixed_plans):
+    batch = simulate_passages(ROAD, mixed_plans)
+    backwards = simulate_passages(ROAD, mixed_plans[::-1])[::-1]
+    for plan, one, two in zip(mixed_plans, batch, backwards, strict=True):
+        assert one.plan is plan
         assert same(one, two)
-        assert same(one, simulate_passage(ROAD, plan))
+    for i in (0, 1, 4, 6, 9, LANES + 6):
+        assert same(batch[i], simulate_passage(ROAD, mixed_plans[i]))
+
+
+def test_it_does_not_matter_in_which_lane_a_drive_is_seated(mixed_plans):
+    alone = simulate_passage(ROAD, mixed_plans[0])
+    others = mixed_plans[1:]
+    for ahead_count in (1, 5, LANES - 1):
+        together = simulate_passages(ROAD, [*others[:ahead_count], mixed_plans[0]])
+        assert same(alone, together[-1])
+
+
+def test_drives_come_one_by_one_and_plans_are_read_as_needed(mixed_plans):
+    read = []
+
+    def coming():
+        for plan in mixed_plans * 40:
+            read.append(plan)
+            yield plan
+
+    first = next(each_passage(ROAD, coming()))
+    assert same(first, simulate_passage(ROAD, mixed_plans[0]))
+    assert len(read) < len(mixed_plans) * 40
 
 
 def test_threads_change_nothing(rng):
@@ -91,13 +128,45 @@ def test_a_mirrored_road_gives_the_mirrored_drive():
     np.testing.assert_allclose(left.wheel_speed_mps, right.wheel_speed_mps[:, [1, 0, 3, 2]], rtol=0, atol=1e-6)
 
 
-def test_half_the_step_changes_little():
-    coarse = simulate_passage(ROAD, replace(REAL, sensor_grade=SensorGrade.IDEAL))
-    fine = simulate_passage(ROAD, replace(REAL, sensor_grade=SensorGrade.IDEAL), step_s=0.001)
-    n = min(len(coarse.trace.time_s), len(fine.trace.time_s))
-    for name, scale in (("yaw_rate_radps", 0.25), ("accel_y_mps2", 4.0), ("steer_rad", 0.06)):
-        difference = getattr(coarse.trace, name)[:n] - getattr(fine.trace, name)[:n]
-        assert np.sqrt(np.mean(difference**2)) < 0.01 * scale, name
+def test_a_quarter_of_the_step_changes_statistics_by_less_than_the_stated_bound():
+    # Drives with little grip, whose drivers and stability systems have much to do. The page states what was measured:
+    # 0.004 to 0.01 % in the median, 1.9 % at most.
+    rng = np.random.default_rng(5)
+    plans = [
+        draw_plan(rng, section=ROAD, base_friction_mu=mu, grade=SensorGrade.IDEAL)
+        for mu in (0.25, 0.3, 0.4, 0.6)
+        for _ in range(6)
+    ]
+    coarse, fine = (list(each_passage(ROAD, plans, step_s=step_s)) for step_s in (0.002, 0.0005))
+    assert [drive.outcome for drive in coarse] == [drive.outcome for drive in fine]
+    changes = [
+        np.abs(statistics(one) - statistics(two)) for one, two in zip(coarse, fine, strict=True) if one.completed
+    ]
+    assert len(changes) >= 15
+    assert np.median(changes) < 2e-4
+    assert np.max(changes) < 0.03
+
+
+def statistics(drive):
+    """Return mean, deviation and quantiles of what was driven of the section, over the largest magnitude. (4, 9)"""
+    truth = drive.truth
+    inside = (truth.station_m >= 0.0) & (truth.station_m <= ROAD.length_m)
+    rows = []
+    for signal in (truth.steer_rad, truth.sideslip_rad, truth.velocity_x_mps, truth.yaw_rate_radps):
+        values = signal[inside]
+        quantiles = np.quantile(values, [0.0, 0.2, 0.4, 0.5, 0.6, 0.8, 1.0])
+        rows.append(np.array([values.mean(), values.std(), *quantiles]) / np.abs(values).max())
+    return np.array(rows)
+
+
+@pytest.mark.parametrize("end_speed_mps", [5.0, 30.0])
+def test_nobody_accelerates_against_an_order_to_brake(end_speed_mps):
+    # At 30 m/s there is nothing to slow down to.
+    plan = replace(CALM, target_speed_mps=14.0, braking=Braking(30.0, decel_mps2=3.0, end_speed_mps=end_speed_mps))
+    drive = simulate_passage(ROAD, plan)
+    behind = drive.truth.station_m > 80.0
+    assert drive.completed
+    assert drive.truth.velocity_x_mps[behind].max() < min(14.0, end_speed_mps) + 0.3
 
 
 def test_ideal_sensors_agree_with_the_truth():
