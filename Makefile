@@ -26,10 +26,11 @@ PLACES := roadgrip rsu_app vehicle_client training migrations tests bench deploy
 CODE := $(foreach place,$(PLACES),$(if $(shell find $(place) -name '*.py' -print -quit 2>/dev/null),$(place)))
 
 .PHONY: help setup demo real-input test test-long test-fast coverage check format-check format lint types contracts bench lock \
+        simulator-validation simulator-speed \
         bundle paper-design wheel hooks clean
 
 help: ## List the chores
-	@awk 'BEGIN {FS = ":.*## "} /^[a-z][a-z-]*:.*## / {printf "  make %-13s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+	@awk 'BEGIN {FS = ":.*## "} /^[a-z][a-z-]*:.*## / {printf "  make %-20s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 setup: $(STAMP) ## Make .venv with everything locked in requirements/dev.txt (does nothing when it is there)
 
@@ -92,6 +93,12 @@ bench: $(STAMP) ## Run the benchmarks; each prints a table and writes JSON
 	@shopt -s nullglob; found=0; \
 	for script in bench/bench_*.py; do found=1; echo "== $$script"; $(BIN)/python "$$script" $(ARGS); done; \
 	test $$found = 1 || echo "no benchmarks yet"
+
+simulator-validation: $(STAMP) ## Remake docs/simulator-validation.md: pictures, figures, tables (ARGS="tyre limits": some chapters)
+	@$(BIN)/python -m bench.simulator_validation $(ARGS)
+
+simulator-speed: $(STAMP) ## Measure the simulator beside the CommonRoad multi-body model; writes docs/results/simulator/speed.json
+	@$(BIN)/python -m bench.simulator_speed $(ARGS)
 
 # Without UPGRADE=1 the pins that still fit stay. The roles are held to what the tests ran with.
 # --universal covers every platform's hashes, x86-64 and aarch64 among them; the check keeps index addresses out.
