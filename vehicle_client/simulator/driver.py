@@ -147,11 +147,11 @@ def choose_pedals(state: FloatArray, lane: int, sample_s: float) -> None:
     speed, guess = state[VELOCITY_X + lane], state[GUESS_MU + lane]
     until = state[BRAKE_UNTIL_MPS + lane]
     due = 1.0 if state[STATION + lane] >= state[BRAKE_FROM_M + lane] else 0.0
-    # Whoever was ordered to slow down keeps the speed at which the order is fulfilled.
+    # An order is fulfilled once its end speed is reached, which is the one to go on with.
     target = state[TARGET_MPS + lane]
-    target = min(target, until) if due > 0.0 and speed <= until else target
+    target = until if due > 0.0 and speed <= until else target
     state[TARGET_MPS + lane] = target
-    ordered = due if target > until else 0.0
+    ordered = due if target != until else 0.0
     released = max(0.0, state[ORDERED + lane] - ordered)
     state[ORDERED + lane] = ordered
 
