@@ -88,7 +88,7 @@ def draw(folder: Path, said: Callable[[str], None] = lambda _: None) -> dict[str
     _curves(axes[7], both, "sideslip_rad", DEGREES)
     label(axes[7], f"The same at mu {LOW_MU}: sideslip", x="time, s", y="°")
     said("braking")
-    _curves(axes[8], pairs(braking(decel_mps2=7.0)), "velocity_x_mps", 1.0)
+    _curves(axes[8], pairs(braking(decel_mps2=7.0)), "velocity_x_mps", 1.0, until_s=4.2)
     label(axes[8], "Braking by 7 m/s²", x="time, s", y="m/s")
     figures: dict[str, Any] = {
         "tyre_fit_largest_error_over_peak_ratio": _fit_error(),
@@ -102,14 +102,17 @@ def draw(folder: Path, said: Callable[[str], None] = lambda _: None) -> dict[str
     return figures | {"picture": write(figure, folder, "oracle")}
 
 
-def _curves(axes: Any, both: tuple[Pair, Pair], signal: str, unit: float) -> None:
+def _curves(axes: Any, both: tuple[Pair, Pair], signal: str, unit: float, *, until_s: float = float("inf")) -> None:
+    """Draw a signal of both cars; the oracle of a car that stands still means nothing, hence the end."""
     published, plain = both
     for course, colour, width in (
         (published.theirs, THEORY, 2.6),
         (plain.theirs, THIRD, 1.6),
         (published.ours, OURS, 1.0),
     ):
-        line(axes, course.time_s, unit * getattr(course, signal), colour, linewidth=width, tolerance_ratio=2e-3)
+        shown = course.time_s <= until_s
+        values = unit * getattr(course, signal)[shown]
+        line(axes, course.time_s[shown], values, colour, linewidth=width, tolerance_ratio=2e-3)
 
 
 def _tyre(axes: Any) -> None:
