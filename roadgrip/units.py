@@ -36,6 +36,9 @@ WINDOW_S = 3600.0
 
 KPH_PER_MPS = 3.6
 
+PASCAL_PER_BAR = 1e5
+"""Tyre pressure is told in bar at the pump, and nowhere else."""
+
 
 def kph_to_mps(speed_kph: float) -> float:
     """Return metres per second."""

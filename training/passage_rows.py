@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from itertools import groupby, pairwise
+from itertools import groupby, islice, pairwise
 from math import isfinite
 
 import numpy as np
@@ -17,10 +17,10 @@ from training.scenarios import Design, Run, Scenario, surveyed_map
 from training.schedule import Shard, inside_quota, runs_of
 from vehicle_client.pipeline import summarise_passage
 from vehicle_client.simulator.drive import Drive
-from vehicle_client.simulator.run import simulate_passages
+from vehicle_client.simulator.run import each_passage
 
 BATCH_RUNS_COUNT = 32
-"""Drives that are simulated together; their full histories are in memory at once, about 2 MB each."""
+"""Drives that are summarised together; their full histories are in memory at once, about 2 MB each."""
 
 WatchDrives = Callable[[Sequence[Run], Sequence[Drive]], None]
 
@@ -38,9 +38,11 @@ def drive_shard(shard: Shard, *, on_batch: WatchDrives | None = None) -> Runs:
         scenario = blocks[0].scenario
         road_map = surveyed_map(shard.terms, scenario.section)
         runs = [run for block in blocks for run in runs_of(block, shard.terms)]
+        # One stream of drives for all of them: the simulator drives many side by side, and best without a break.
+        stream = each_passage(scenario.section, (run.plan for run in runs))
         for first in range(0, len(runs), BATCH_RUNS_COUNT):
             batch = runs[first : first + BATCH_RUNS_COUNT]
-            drives = simulate_passages(scenario.section, [run.plan for run in batch])
+            drives = list(islice(stream, len(batch)))
             if on_batch is not None:
                 on_batch(batch, drives)
             parts.append(rows_of(scenario, batch, drives, road_map=road_map))

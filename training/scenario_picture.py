@@ -38,13 +38,13 @@ class Sketch:
     Attributes:
         title: Above the line.
         section: What is drawn.
-        wider: How many times its width is drawn wider than its length.
+        widening_ratio: How many times its width is drawn wider than its length.
         slippery_from_m: Station from which the line is drawn in blue.
     """
 
     title: str
     section: RoadSection
-    wider: float = 1.0
+    widening_ratio: float = 1.0
     slippery_from_m: float | None = None
 
 
@@ -56,10 +56,10 @@ def scenario_sketches() -> tuple[Sketch, ...]:
         Sketch("S-turn; two frictions", s_turn, slippery_from_m=turnover_m(s_turn)),
         Sketch("Sharp turn", read_section("sharp-turn")),
         Sketch("A random road", random_section(np.random.default_rng([5, 8]), section_id="random")),
-        Sketch("Slalom", manoeuvre_section(Manoeuvre.SLALOM), wider=10.0),
-        Sketch("Tight lane change", manoeuvre_section(Manoeuvre.LANE_CHANGE), wider=5.0),
+        Sketch("Slalom", manoeuvre_section(Manoeuvre.SLALOM), widening_ratio=10.0),
+        Sketch("Tight lane change", manoeuvre_section(Manoeuvre.LANE_CHANGE), widening_ratio=5.0),
         Sketch("Ninety degree turn", manoeuvre_section(Manoeuvre.NINETY_DEGREES)),
-        Sketch("Sine wave", manoeuvre_section(Manoeuvre.SINE), wider=10.0),
+        Sketch("Sine wave", manoeuvre_section(Manoeuvre.SINE), widening_ratio=10.0),
     )
 
 
@@ -82,7 +82,7 @@ def picture_svg(sketches: tuple[Sketch, ...]) -> str:
 
 def _cell(sketch: Sketch) -> str:
     section = sketch.section
-    points_m = _levelled(section) * [1.0, sketch.wider]
+    points_m = _levelled(section) * [1.0, sketch.widening_ratio]
     span_m = np.ptp(points_m, axis=0)
     room_px = np.array([CELL_PX[0] - 2.0 * _MARGIN_PX, CELL_PX[1] - _HEAD_PX - _FOOT_PX - 12.0])
     scale = float(np.min(room_px / np.maximum(span_m, 1e-6)))
@@ -91,7 +91,7 @@ def _cell(sketch: Sketch) -> str:
     points = middle_px + (points_m - middle_m) * [scale, -scale]
     bar_m = max((m for m in _BARS_M if m * scale <= 0.45 * room_px[0]), default=_BARS_M[0])
     bar_y = CELL_PX[1] - _FOOT_PX
-    wider = f", {sketch.wider:.0f} times as wide" if sketch.wider != 1.0 else ""
+    wider = f", {sketch.widening_ratio:.0f} times as wide" if sketch.widening_ratio != 1.0 else ""
     lines = _line(points, _LINE)
     if sketch.slippery_from_m is not None:
         lines += _line(points[section.profile.station_m >= sketch.slippery_from_m], _SLIPPERY)

@@ -19,7 +19,8 @@ from rich.console import Console
 from roadgrip.errors import ConfigurationError, RoadgripError
 from vehicle_client.shell.replay import RecordingFormat
 from vehicle_client.shell.single_drive import Evenness, StabilitySystem
-from vehicle_client.simulator.plan import REFERENCE_PRESSURE_BAR, DriverKind, SensorGrade
+from roadgrip.units import PASCAL_PER_BAR
+from vehicle_client.simulator.plan import REFERENCE_PRESSURE_PA, DriverKind, SensorGrade
 
 if TYPE_CHECKING:
     from roadgrip.section import RoadSection
@@ -279,7 +280,7 @@ def drive(  # noqa: PLR0917 - typer reads options by name
     ] = None,
     pressure_bar: Annotated[
         float, typer.Option("--pressure", metavar="BAR", min=1.5, max=3.5, help="Of the tyres; less grips more.")
-    ] = REFERENCE_PRESSURE_BAR,
+    ] = REFERENCE_PRESSURE_PA / PASCAL_PER_BAR,
     roughness: Annotated[
         Evenness, typer.Option(help="Class of the surface by ISO 8608, from very good (`a`) to bad (`e`).")
     ] = Evenness.A,
@@ -317,7 +318,7 @@ def drive(  # noqa: PLR0917 - typer reads options by name
         kind=driver,
         speed_mps=None if speed_kmh is None else kph_to_mps(speed_kmh),
         wear_factor=wear,
-        pressure_bar=pressure_bar,
+        pressure_pa=pressure_bar * PASCAL_PER_BAR,
         evenness=roughness,
         without=frozenset(without or ()),
         grade=sensors,

@@ -12,14 +12,14 @@ from rich.table import Table
 
 from roadgrip.errors import ConfigurationError
 from roadgrip.records import Rejected
-from roadgrip.units import GRAVITY_MPS2, mps_to_kph
+from roadgrip.units import GRAVITY_MPS2, PASCAL_PER_BAR, mps_to_kph
 from vehicle_client.pipeline import Summarised, summarise_passage
 from vehicle_client.shell.fleet import simulator
 from vehicle_client.shell.replay import made_to_json, refusal_text
 from vehicle_client.shell.sources import write_trace_csv
 from vehicle_client.simulator.drive import DriveOutcome
 from vehicle_client.simulator.plan import (
-    REFERENCE_PRESSURE_BAR,
+    REFERENCE_PRESSURE_PA,
     DriverKind,
     FrictionProfile,
     PassagePlan,
@@ -74,7 +74,7 @@ class DriveOrder:
         kind: What the driver goes by.
         speed_mps: Speed he likes; drawn about the rated one if None.
         wear_factor: What wear leaves of the friction; drawn if None.
-        pressure_bar: Of the tyres.
+        pressure_pa: Of the tyres.
         evenness: Of the road.
         without: Stability systems that are switched off.
         grade: Which sensors the vehicle carries.
@@ -86,7 +86,7 @@ class DriveOrder:
     kind: DriverKind = DriverKind.PRUDENT
     speed_mps: float | None = None
     wear_factor: float | None = None
-    pressure_bar: float = REFERENCE_PRESSURE_BAR
+    pressure_pa: float = REFERENCE_PRESSURE_PA
     evenness: Evenness = Evenness.A
     without: frozenset[StabilitySystem] = frozenset()
     grade: SensorGrade = SensorGrade.AUTOMOTIVE
@@ -154,7 +154,7 @@ def plan_of(section: RoadSection, order: DriveOrder) -> PassagePlan:
         drawn,
         wear_factor=drawn.wear_factor if order.wear_factor is None else order.wear_factor,
         target_speed_mps=drawn.target_speed_mps if order.speed_mps is None else order.speed_mps,
-        pressure_bar=order.pressure_bar,
+        pressure_pa=order.pressure_pa,
         roughness=order.evenness.roughness,
         stability=StabilitySystems(
             abs_on=StabilitySystem.ABS not in order.without,
@@ -222,7 +222,7 @@ def single_drive_to_json(driven: SingleDrive) -> dict[str, Any]:
         "base_friction_mu": plan.base_friction_mu,
         "second_friction_mu": None if plan.friction_profile is None else float(plan.friction_profile.left_mu[-1]),
         "wear_factor": plan.wear_factor,
-        "pressure_bar": plan.pressure_bar,
+        "pressure_pa": plan.pressure_pa,
         "friction_mu": drive.label_mu,
         "lowest_friction_mu": drive.lowest_mu,
         "roughness_class": None if plan.roughness is None else plan.roughness.value,
@@ -255,7 +255,7 @@ def single_drive_table(driven: SingleDrive, section: RoadSection) -> Table:
     table = Table("what", "value", title=f"One drive over {section.name}", title_justify="left", show_header=False)
     table.add_row("the drive", outcome_text(driven))
     table.add_row("friction of the road", f"{_road_friction_text(plan)} for a new tyre")
-    table.add_row("tyres", f"wear factor {plan.wear_factor:.2f}, {plan.pressure_bar:.1f} bar")
+    table.add_row("tyres", f"wear factor {plan.wear_factor:.2f}, {plan.pressure_pa / PASCAL_PER_BAR:.1f} bar")
     table.add_row(
         "friction of these tyres", f"{drive.label_mu:.3f} over the worst 10 m, {drive.lowest_mu:.3f} at least"
     )

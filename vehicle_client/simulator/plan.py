@@ -19,9 +19,10 @@ GUESS_SIGMA_RATIO = 0.35
 """Spread of a prudent driver's visual guess of the surface: standard deviation of its logarithm, one draw per run."""
 WEAR_RANGE = (0.8, 1.0)
 """Factor of tyre wear and pressure on friction (the paper, section "Intervals of friction conditions")."""
-REFERENCE_PRESSURE_BAR = 2.5
+REFERENCE_PRESSURE_PA = 250_000.0
 """Tyre pressure at which friction is what wear leaves of the road's."""
-_FRICTION_PER_BAR_RATIO = 0.08 / 0.5
+_FRICTION_PER_DROP_RATIO = 0.08
+_DROP_PA = 50_000.0
 """A drop from 2.5 to 2.0 bar raises friction by about eight per cent (the paper, after Braghin et al., 2006)."""
 SPEED_SPREAD_RATIO = 0.2
 """Half width of the triangular distribution of speeds around the rated one (the paper)."""
@@ -142,7 +143,7 @@ class PassagePlan:
         base_friction_mu: What the road offers a new tyre, on approach and exit too.
         seed: Of everything random in the drive: surface profile, sensor errors, noise.
         wear_factor: Tyre wear, multiplies friction; 0.8 to 1. The paper's designs put tyre pressure into it, too.
-        pressure_bar: Of the tyres, where it is studied apart from wear.
+        pressure_pa: Of the tyres, where it is studied apart from wear.
         target_speed_mps: Speed the driver likes where nothing holds him back; the rated speed if None.
         driver: The driver.
         friction_profile: Friction that varies along the section; replaces the base friction.
@@ -169,13 +170,15 @@ class PassagePlan:
     braking: Braking | None = None
     stability: StabilitySystems = ALL_SYSTEMS
     roughness: RoughnessClass | None = RoughnessClass.A
-    pressure_bar: float = REFERENCE_PRESSURE_BAR
+    pressure_pa: float = REFERENCE_PRESSURE_PA
     vehicle: Vehicle = XC90
 
     @property
     def tyre_factor(self) -> float:
         """What wear and pressure leave of the road's friction."""
-        return self.wear_factor * (1.0 + _FRICTION_PER_BAR_RATIO * (REFERENCE_PRESSURE_BAR - self.pressure_bar))
+        return self.wear_factor * (
+            1.0 + _FRICTION_PER_DROP_RATIO * (REFERENCE_PRESSURE_PA - self.pressure_pa) / _DROP_PA
+        )
 
 
 def draw_driver(rng: np.random.Generator, *, base_friction_mu: float, kind: DriverKind = DriverKind.PRUDENT) -> Driver:

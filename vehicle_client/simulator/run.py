@@ -19,7 +19,7 @@ import numpy as np
 from roadgrip.errors import SectionError
 from roadgrip.geodesy import frame_of
 from roadgrip.section import build_section
-from roadgrip.units import SAMPLE_S, FloatArray
+from roadgrip.units import PASCAL_PER_BAR, SAMPLE_S, FloatArray
 from vehicle_client.simulator import journey
 from vehicle_client.simulator.drive import Drive, DriveOutcome, Truth
 from vehicle_client.simulator.driver import SURE_MU
@@ -251,8 +251,8 @@ def _check(section: RoadSection, plan: PassagePlan) -> None:
     if not 0.02 <= plan.base_friction_mu <= 2.0 or not 0.1 <= plan.wear_factor <= 2.0:
         message = f"friction {plan.base_friction_mu} times wear {plan.wear_factor} is no road's"
         raise ValueError(message)
-    if not 1.5 <= plan.pressure_bar <= 3.5:
-        message = f"a tyre pressure of {plan.pressure_bar} bar is not between 1.5 and 3.5"
+    if not 150_000.0 <= plan.pressure_pa <= 350_000.0:
+        message = f"a tyre pressure of {plan.pressure_pa / PASCAL_PER_BAR:g} bar is not between 1.5 and 3.5"
         raise ValueError(message)
     order = plan.braking
     if order is not None and not (order.decel_mps2 > 0.0 and 0.5 <= order.end_speed_mps <= 80.0):

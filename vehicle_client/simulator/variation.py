@@ -313,8 +313,8 @@ def _tyre(rng: np.random.Generator, *, design_load_n: float, rolling_radius_m: f
     sensitivity_ratio = rng.uniform(0.7, 1.2)
     sliding_ratio = rng.uniform(0.96, 1.04)
 
-    def at_twice(once: float, twice: float) -> float:
-        return once * (1.0 - sensitivity_ratio * (1.0 - twice / once))
+    def at_twice(at_once_ratio: float, at_twice_ratio: float) -> float:
+        return at_once_ratio * (1.0 - sensitivity_ratio * (1.0 - at_twice_ratio / at_once_ratio))
 
     carcass_ratio = nominal_load_n / ref.nominal_load_n * rng.uniform(0.85, 1.15)
     return ref._replace(

@@ -77,13 +77,13 @@ def test_what_is_ordered_is_planned(s_turn: RoadSection):
         DriveOrder(
             speed_mps=12.0,
             wear_factor=0.85,
-            pressure_bar=2.0,
+            pressure_pa=200_000.0,
             kind=DriverKind.REACTING,
             evenness=Evenness.C,
             without=frozenset({StabilitySystem.ABS, StabilitySystem.ESC}),
         ),
     )
-    assert (plan.target_speed_mps, plan.wear_factor, plan.pressure_bar) == (12.0, 0.85, 2.0)
+    assert (plan.target_speed_mps, plan.wear_factor, plan.pressure_pa) == (12.0, 0.85, 200_000.0)
     assert math.isinf(plan.driver.friction_guess_mu)
     assert plan.roughness is RoughnessClass.C
     assert plan.stability == (False, True, False)
@@ -259,7 +259,7 @@ def test_without_matplotlib_one_is_told_how_to_get_it(
 @pytest.mark.sim
 def test_what_the_simulator_cannot_drive_is_a_configuration_that_cannot_be(s_turn: RoadSection):
     with pytest.raises(ConfigurationError, match="bar"):
-        drive_once(s_turn, DriveOrder(pressure_bar=0.5))
+        drive_once(s_turn, DriveOrder(pressure_pa=50_000.0))
 
 
 @pytest.mark.sim
@@ -281,7 +281,7 @@ def test_the_command_takes_what_can_be_ordered(tmp_path: Path):
     assert result.exit_code == 0, result.output
     found = json.loads(result.stdout)
     assert found["target_speed_mps"] == pytest.approx(5.0)
-    assert (found["wear_factor"], found["pressure_bar"], found["second_friction_mu"]) == (0.9, 2.2, 0.6)
+    assert (found["wear_factor"], found["pressure_pa"], found["second_friction_mu"]) == (0.9, 220_000.0, 0.6)
     assert (found["abs_on"], found["tcs_on"], found["esc_on"]) == (True, False, False)
     assert found["roughness_class"] is None
     assert found["driver_guess_mu"] is None

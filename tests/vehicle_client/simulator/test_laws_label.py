@@ -56,7 +56,7 @@ def test_even_friction_is_its_own_label():
 
 
 def test_wear_and_pressure_scale_the_label():
-    drive = driven(None, wear_factor=0.85, pressure_bar=2.2)
+    drive = driven(None, wear_factor=0.85, pressure_pa=220_000.0)
     factor = 0.85 * (1.0 + 0.16 * 0.3)
     assert drive.label_mu == pytest.approx(0.7 * factor, rel=1e-12)
 

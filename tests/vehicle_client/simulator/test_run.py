@@ -64,7 +64,7 @@ def mixed_plans():
     plans = [draw_plan(rng, section=ROAD, base_friction_mu=(0.2, 0.35, 0.7)[i % 3]) for i in range(LANES + 7)]
     plans[1] = replace(plans[1], stability=NO_SYSTEMS)
     plans[4] = replace(plans[4], roughness=None, approach_m=20.0)
-    plans[6] = replace(plans[6], vehicle=plans[6].vehicle._replace(mass_kg=2_500.0), pressure_bar=2.2)
+    plans[6] = replace(plans[6], vehicle=plans[6].vehicle._replace(mass_kg=2_500.0), pressure_pa=220_000.0)
     plans[9] = replace(plans[9], braking=Braking(station_m=40.0, decel_mps2=3.0, end_speed_mps=6.0), exit_m=10.0)
     return plans
 
