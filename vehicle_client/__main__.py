@@ -17,9 +17,9 @@ import typer
 from rich.console import Console
 
 from roadgrip.errors import ConfigurationError, RoadgripError
+from roadgrip.units import PASCAL_PER_BAR
 from vehicle_client.shell.replay import RecordingFormat
 from vehicle_client.shell.single_drive import Evenness, StabilitySystem
-from roadgrip.units import PASCAL_PER_BAR
 from vehicle_client.simulator.plan import REFERENCE_PRESSURE_PA, DriverKind, SensorGrade
 
 if TYPE_CHECKING:
