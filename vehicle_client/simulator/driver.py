@@ -44,6 +44,7 @@ from vehicle_client.simulator.lanes import (
     ORDERED,
     PEDALS_MPS2,
     SLIDE,
+    SPIN,
     STATION,
     STEER,
     STEER_WISH,
@@ -69,6 +70,7 @@ _CLEAR_SLIDE = 0.1
 _NO_FURTHER_SLIDE = 3.0
 _PEDAL_S = 0.25
 _OVERDRIVE = 1.5
+_CLUTCH_MPS = 3.0
 
 
 @kernel
@@ -192,7 +194,11 @@ def press_pedals(state: FloatArray, lane: int, accel_mps2: float) -> None:
     force += vehicle.drag_npm2ps2_ratio * speed * speed
     # Near standstill the clutch opens.
     engine_brake = m * vehicle.engine_brake_mps2 * ramp_ratio(speed, 0.5, 1.5)
-    drive = min(max(force, -engine_brake), vehicle.power_w / max(3.0, speed))
+    # The engine's power goes into the wheels, however fast they spin.
+    front_spin = 0.5 * (state[SPIN + lane] + state[SPIN + LANES + lane])
+    rear_spin = 0.5 * (state[SPIN + 2 * LANES + lane] + state[SPIN + 3 * LANES + lane])
+    turning = radius * (rear_spin + vehicle.front_drive_frac * (front_spin - rear_spin))
+    drive = min(max(force, -engine_brake), vehicle.power_w / max(_CLUTCH_MPS, speed, turning))
     brake = min(max(0.0, drive - force), m * vehicle.brake_limit_mps2)
     drive_nm, brake_nm = 0.5 * drive * radius, 0.5 * brake * radius
     state[ASKED_DRIVE_NM + lane] = state[ASKED_DRIVE_NM + LANES + lane] = vehicle.front_drive_frac * drive_nm

@@ -37,6 +37,7 @@ from vehicle_client.simulator.lanes import (
     FORCE_Y,
     FRICTION,
     GRADE,
+    GRADE_CHANGE,
     LAGGED_X,
     LANES,
     LINE_HEADING,
@@ -67,7 +68,7 @@ from vehicle_client.simulator.lanes import (
     YAW_RATE,
     vehicle_at,
 )
-from vehicle_client.simulator.stability import control_yaw, limit_braking, limit_drive, see_braking
+from vehicle_client.simulator.stability import control_yaw, limit_braking, limit_drive, see_braking, select_low
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -149,6 +150,8 @@ def _act(state: FloatArray, step_s: float) -> None:
         limit_drive(state, lane)
     for wheel in range(WHEELS):
         limit_braking(state, wheel)
+    for lane in range(LANES):
+        select_low(state, lane)
 
 
 @formula
@@ -180,9 +183,10 @@ def report(state: FloatArray, lane: int) -> None:
         * (state[FORCE_X + lane] - state[LAGGED_X + lane])
         / (vehicle.load_transfer_lag_s)
     )
-    # The body turns with the surface, whose bank changes along the road; uphill the nose points up, and yaw about the
-    # vertical has a part along x.
+    # The body turns with the surface, whose bank and grade change along the road; uphill the nose points up, and yaw
+    # about the vertical has a part along x.
     turning = state[CROSS_CHANGE + lane] * state[VELOCITY_X + lane] / (1.0 + cross * cross)
+    pitch_rate -= state[GRADE_CHANGE + lane] * state[VELOCITY_X + lane] / (1.0 + grade * grade)
     yaw = state[YAW_RATE + lane]
     nose_up = (climb * cosine(pitch) - sine(pitch)) / math.sqrt(1.0 + climb * climb)
     roll_rate = state[ROLL_RATE + lane] + shaking / tracks + turning + yaw * nose_up

@@ -24,11 +24,13 @@ from vehicle_client.simulator.lanes import (
     ASKED_BRAKE_NM,
     ASKED_DRIVE_NM,
     CROSS_SLOPE,
+    CURVATURE,
     DRIVE_NM,
     FRICTION,
     GRADE,
     HELD_STEER,
     LANES,
+    OFFSET,
     REPORT,
     REPORT_COUNT,
     SPIN,
@@ -36,10 +38,11 @@ from vehicle_client.simulator.lanes import (
     STEER,
     VELOCITY_X,
     WHEELS,
+    YAW_RATE,
 )
 from vehicle_client.simulator.plan import NO_SYSTEMS, UNIMPRESSED, StabilitySystems
 from vehicle_client.simulator.seats import place_car
-from vehicle_client.simulator.stability import control_yaw, limit_braking, limit_drive, see_braking
+from vehicle_client.simulator.stability import control_yaw, limit_braking, limit_drive, see_braking, select_low
 from vehicle_client.simulator.vehicle import XC90, Vehicle
 
 if TYPE_CHECKING:
@@ -48,6 +51,7 @@ if TYPE_CHECKING:
     from roadgrip.units import BoolArray, FloatArray
 
 _HOLD_NMS = 2_000.0
+_SLOWEST_MPS = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,10 +190,15 @@ def _decide(state: FloatArray, accel_mps2: float, driven_share: float) -> None:
 def _act(state: FloatArray, steer_rad: float, hold_mps: float) -> None:
     for lane in range(LANES):
         state[STEER + lane] = state[HELD_STEER + lane] = steer_rad
-        state[ANGLE + lane] = 0.0  # the plane turns with the car
+        # The plane turns with the car: where it is banked it is a cone, which bends as the car's path does.
+        state[ANGLE + lane] = state[OFFSET + lane] = 0.0
+        state[CURVATURE + lane] = state[YAW_RATE + lane] / max(_SLOWEST_MPS, state[VELOCITY_X + lane])
         limit_drive(state, lane)
     for wheel in range(WHEELS):
         limit_braking(state, wheel)
+    for lane in range(LANES):
+        select_low(state, lane)
+    for wheel in range(WHEELS):
         if hold_mps >= 0.0:
             state[DRIVE_NM + wheel] = _HOLD_NMS * (hold_mps - state[VELOCITY_X + wheel % LANES])
 

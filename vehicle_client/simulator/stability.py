@@ -201,6 +201,25 @@ def limit_braking(state: FloatArray, wheel: int) -> None:
 
 
 @formula
+def select_low(state: FloatArray, lane: int) -> None:
+    """Relieve both rear brakes as much as the weaker wheel needs it: what the other does not brake, it guides.
+
+    Args:
+        state: Of all lanes.
+        lane: Which one.
+    """
+    left, right = 2 * LANES + lane, 3 * LANES + lane
+    relief = max(state[RELIEF_NM + left], state[RELIEF_NM + right])
+    _relieve(state, left, relief)
+    _relieve(state, right, relief)
+
+
+@formula
+def _relieve(state: FloatArray, wheel: int, relief_nm: float) -> None:
+    state[BRAKE_NM + wheel] = max(0.0, state[ASKED_BRAKE_NM + wheel] - relief_nm)
+
+
+@formula
 def see_braking(state: FloatArray, lane: int) -> None:
     """Write whether any wheel's brake is being released.
 

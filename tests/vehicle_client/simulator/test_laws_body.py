@@ -310,3 +310,13 @@ def test_nothing_becomes_infinite_around_standstill(steer_rad):
     assert np.isfinite(motion.wheel_force_y_n).all()
     assert np.hypot(motion.velocity_x_mps, motion.velocity_y_mps).max() < 5.0
     assert np.abs(motion.accel_y_mps2).max() < 5.0
+
+
+@pytest.mark.parametrize(("cross_slope_ratio", "grade_ratio"), [(0.08, 0.0), (-0.08, 0.0), (0.05, 0.06)])
+def test_on_a_bank_the_wheels_bear_the_centripetal_force_too(cross_slope_ratio, grade_ratio):
+    plane = Plane(0.9, cross_slope_ratio=cross_slope_ratio, grade_ratio=grade_ratio)
+    motion = drive_open_loop(plane, speed_mps=15.0, steer_rad=steady(3.0, 0.03), accel_mps2=steady(3.0, -1.0))
+    # What the surface bears against gravity and against the centripetal part normal to it.
+    normal = GRAVITY_MPS2 / math.sqrt(1.0 + cross_slope_ratio**2 + grade_ratio**2)
+    normal -= motion.yaw_rate_radps * motion.velocity_x_mps * cross_slope_ratio
+    np.testing.assert_allclose(motion.wheel_load_n.sum(1)[50:], XC90.mass_kg * normal[50:], rtol=1e-3)

@@ -67,6 +67,12 @@ def test_a_quarter_of_the_step_changes_hardly_a_drive_by_more_than_half_a_per_ce
     assert np.median(worst) < 0.005
 
 
+@pytest.mark.parametrize(("finer", "bound"), [(1, 0.008), (2, 0.01)])
+def test_a_finer_step_changes_no_statistic_of_any_drive_by_more_than_a_stated_bound(finer, bound):
+    drives = completed_drives()
+    assert np.abs(drives[:, 0] - drives[:, finer]).max() < bound
+
+
 @pytest.mark.parametrize("mu", [0.3, 0.8])
 def test_without_driver_and_systems_the_error_falls_in_proportion_to_the_step(mu):
     # First order: with half the step half the error, against a step so small that it counts as none.

@@ -95,3 +95,10 @@ def test_a_lighter_higher_or_narrower_car_follows_its_own_limit(mu):
     steer = np.linspace(0.0, 0.36 * mu, 900)
     motion = drive_open_loop(Plane(mu), speed_mps=30.0, steer_rad=steer, vehicle=car)
     assert best_mean(motion.accel_y_mps2, 0.2) == pytest.approx(analytic.lateral_limit_mps2(mu, car=car), rel=0.02)
+
+
+@FRICTIONS
+@pytest.mark.parametrize("cross_slope_ratio", [-0.08, 0.08])
+def test_on_a_bank_the_car_corners_with_what_its_loaded_tyres_give(mu, cross_slope_ratio):
+    expected = analytic.lateral_limit_mps2(mu, cross_slope_ratio=cross_slope_ratio)
+    assert largest_lateral_force_mps2(mu, cross_slope_ratio=cross_slope_ratio) == pytest.approx(expected, rel=0.02)

@@ -84,6 +84,12 @@ def drive_slip_ratio(motion):
 
 
 @FRICTIONS
+def test_anti_lock_braking_stops_nearly_as_short_as_can_be(mu):
+    way = way_m(full_braking(Plane(mu), ABS))
+    assert way < 1.05 * analytic.ideal_stop_m(mu, from_mps=25.0, to_mps=3.0)
+
+
+@FRICTIONS
 def test_nobody_stops_shorter_than_the_ideal(mu):
     # Two per cent for a carcass that still gives back what it stored, and for the time step.
     ideal = analytic.ideal_stop_m(mu, from_mps=25.0, to_mps=3.0)
@@ -96,7 +102,7 @@ def test_anti_lock_braking_stops_shorter_than_locked_wheels(mu):
     assert way_m(full_braking(Plane(mu), ABS)) < way_m(full_braking(Plane(mu), NO_SYSTEMS))
 
 
-@pytest.mark.parametrize("mu", [0.35, 0.5, 0.8, 1.0])
+@FRICTIONS
 def test_anti_lock_braking_lets_no_wheel_lock(mu):
     assert brake_slip_ratio(full_braking(Plane(mu), ABS)).max() < 0.5
 
@@ -105,7 +111,7 @@ def test_without_anti_lock_braking_a_full_pedal_locks_the_wheels():
     assert brake_slip_ratio(full_braking(Plane(0.5), NO_SYSTEMS)).max() > 0.99
 
 
-@pytest.mark.parametrize("mu", [0.2, 0.35, 0.5, 0.8])
+@LOCKING
 def test_with_anti_lock_braking_the_car_can_be_steered_while_it_brakes(mu):
     steer = 0.05 * mu
     yaw = full_braking(Plane(mu), ABS, steer_rad=steer).yaw_rate_radps[100:250]
@@ -129,7 +135,7 @@ LONG_STRAIGHT = build_section(
 )
 
 
-@pytest.mark.parametrize(("left_mu", "right_mu"), [(0.5, 0.3), (0.45, 0.6)])
+@pytest.mark.parametrize(("left_mu", "right_mu"), [(0.2, 0.8), (0.8, 0.2), (0.5, 0.3), (0.45, 0.6), (0.1, 0.5)])
 def test_on_split_friction_a_driver_brakes_to_a_crawl_within_his_lane(left_mu, right_mu):
     plan = PassagePlan(
         base_friction_mu=0.5,
@@ -147,6 +153,11 @@ def test_on_split_friction_a_driver_brakes_to_a_crawl_within_his_lane(left_mu, r
     assert drive.abs_active_frac > 0.0
 
 
+def test_on_split_friction_anti_lock_braking_stops_shorter_than_both_sides_on_ice():
+    stop = way_m(full_braking(Plane(0.3, right_friction_mu=0.4), ABS, start_mps=15.0), from_mps=13.0)
+    assert stop < analytic.ideal_stop_m(0.3, from_mps=13.0, to_mps=3.0)
+
+
 # --- traction control
 
 
@@ -159,6 +170,16 @@ def test_traction_control_keeps_the_wheels_from_spinning(mu, speed_mps):
     assert slip.max() < 0.7
     assert slip[200:].max() < 0.15
     assert motion.tcs_active.any()
+
+
+@pytest.mark.parametrize("mu", [0.1, 0.2, 0.35, 0.6])
+def test_traction_control_accelerates_at_least_as_well_as_spinning_wheels(mu):
+    pedal = ramp(5.0, 6.0)
+    held, spun = (
+        drive_open_loop(Plane(mu), speed_mps=5.0, steer_rad=np.zeros(500), accel_mps2=pedal, systems=systems)
+        for systems in (TCS, NO_SYSTEMS)
+    )
+    assert held.velocity_x_mps[-1] > 0.99 * spun.velocity_x_mps[-1]
 
 
 def test_traction_control_leaves_a_throttle_within_the_grip_alone():
@@ -217,6 +238,16 @@ def test_against_understeer_yaw_control_brakes_the_inner_rear_wheel(mu, left):
     early = slice(first + 1, first + 30)
     braking = -motion.wheel_force_x_n[early].mean(0)
     assert int(np.argmax(braking)) == (REAR_LEFT if left else REAR_RIGHT)
+
+
+@pytest.mark.parametrize("mu", [0.2, 0.3, 0.6])
+def test_against_heavy_understeer_yaw_control_does_not_swing_the_car(mu):
+    steer = ramp(8.0, 0.3, start_s=0.5, rise_s=3.0)
+    motion = drive_open_loop(Plane(mu), speed_mps=25.0, steer_rad=steer, systems=ALL_SYSTEMS)
+    carried = mu * GRAVITY_MPS2 / motion.velocity_x_mps
+    share = (motion.yaw_rate_radps / carried)[500:]
+    assert share.min() > 0.2
+    assert np.ptp(share) < 1.0
 
 
 def test_yaw_control_cuts_the_drive_torque():
