@@ -71,6 +71,7 @@ _NO_FURTHER_SLIDE = 3.0
 _PEDAL_S = 0.25
 _OVERDRIVE = 1.5
 _CLUTCH_MPS = 3.0
+_WALK_MPS = 2.0
 
 
 @kernel
@@ -223,7 +224,8 @@ def choose_steering(state: FloatArray, lane: int) -> None:
     driver, vehicle = driver_at(state, lane), vehicle_at(state, lane)
     wheelbase = vehicle.front_axle_m + vehicle.rear_axle_m
     gradient = state[GRADIENT + lane]
-    vx = max(1.0, state[VELOCITY_X + lane])
+    # At a walk his eyes tell hardly any drift from standing still.
+    vx = max(_WALK_MPS, state[VELOCITY_X + lane])
     curvature, cross = state[AHEAD_CURVATURE + lane], state[AHEAD_CROSS_SLOPE + lane]
     wish = wheelbase * curvature + gradient * (vx * vx * curvature + GRAVITY_MPS2 * cross)
 
