@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import json
 import platform
+from collections import Counter
 from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 from rich.console import Console
+from rich.measure import Measurement
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-from rich.table import Column, Table
+from rich.table import Table
 
 from roadgrip.sections import read_section
 from training import simulation
 from training.cells import Cell, by_friction, cells_of, to_json, to_text
-from training.dataset import RUNS_FILE_NAME, DatasetError, Runs, read_description, read_runs
+from training.dataset import RUNS_FILE_NAME, SHARDS_FOLDER_NAME, DatasetError, Runs, read_description, read_runs
 from training.designs import DESIGNS, Size, named_design, sections_design
 from training.machine import processor_model
 from training.scenarios import Design, Terms
@@ -25,6 +27,7 @@ from vehicle_client.simulator.plan import DriverKind, SensorGrade
 DEFAULT_DESIGN = "paper"
 DEFAULT_SEED = 20_260_701
 SECTIONS_DESIGN_NAME = "sections"
+PICTURES = (".svg", ".png", ".pdf")
 _MOST_ROWS_COUNT = 100
 _RAW_BYTES_PER_S = 10_000.0
 
@@ -37,30 +40,39 @@ Kind = Annotated[
     DriverKind, typer.Option("--driver", help="prudent: also judges the surface by its looks. reacting: does not.")
 ]
 RunsCount = Annotated[
-    int, typer.Option("--runs", min=1, help="Runs per cell: kept ones where the design asks for them.")
+    int, typer.Option("--runs", metavar="N", min=1, help="Runs per cell: kept ones where the design asks for them.")
 ]
-Seed = Annotated[int, typer.Option("--seed", min=0, help="Changes every run; the same seed gives the same runs.")]
-Workers = Annotated[int | None, typer.Option("--workers", min=1, help="Processes; all processors if left out.")]
+Seed = Annotated[
+    int, typer.Option("--seed", metavar="N", min=0, help="Changes every run; the same seed gives the same runs.")
+]
+Workers = Annotated[
+    int | None, typer.Option("--workers", metavar="N", min=1, help="Processes; all processors if left out.")
+]
 AsJson = Annotated[bool, typer.Option("--json", help="Print the result as JSON, for machines.")]
-CellsFile = Annotated[Path | None, typer.Option("--cells", help="Write the table of cells to this JSON file.")]
+CellsFile = Annotated[
+    Path | None, typer.Option("--cells", metavar="FILE", help="Write the table of cells to this JSON file.")
+]
 
 
 def simulate(
     *,
-    out: Annotated[Path, typer.Option("--out", help="Folder for the Parquet files; goes on where it was.")],
+    out: Annotated[Path, typer.Option("--out", metavar="FOLDER", help="For the Parquet files; goes on where it was.")],
     design: Annotated[
         str | None,
         typer.Option("--design", metavar="NAME", help="See `roadgrip-train designs`.", show_default=DEFAULT_DESIGN),
     ] = None,
     section: Annotated[
-        list[Path] | None, typer.Option(help="Drive the paper's matrix on this section file instead; repeatable.")
+        list[Path] | None,
+        typer.Option(metavar="FILE", help="Drive the paper's matrix on this section file instead; repeatable."),
     ] = None,
     sensors: Grade = SensorGrade.AUTOMOTIVE,
     driver: Kind = DriverKind.PRUDENT,
     runs: RunsCount = 20,
-    random_roads: Annotated[int, typer.Option(min=0, help="Random roads of the designs that have some.")] = 30,
+    random_roads: Annotated[
+        int, typer.Option(metavar="N", min=0, help="Random roads of the designs that have some.")
+    ] = 30,
     random_runs: Annotated[
-        int, typer.Option(min=1, help="Runs per base friction on each random road of the mixed design.")
+        int, typer.Option(metavar="N", min=1, help="Runs per base friction on each random road of the mixed design.")
     ] = 4,
     seed: Seed = DEFAULT_SEED,
     workers: Workers = None,
@@ -77,6 +89,7 @@ def simulate(
     """
     size = Size(runs, random_roads_count=random_roads, random_runs_count=random_runs)
     chosen = _design(design, section or [], Terms(design or DEFAULT_DESIGN, seed, sensors, driver), size)
+    _check_holds_no_other(out, chosen)
     if raw:
         _warn_of_size(chosen)
     command = _command(chosen, size, section or [], raw=raw)
@@ -115,17 +128,23 @@ def designs(*, as_json: AsJson = False) -> None:
 
 
 def cells(
-    folders: Annotated[list[Path], typer.Argument(help="Folders of finished designs.")],
+    folders: Annotated[list[Path], typer.Argument(metavar="FOLDER", help="Folders of finished designs.")],
     *,
-    out: Annotated[Path | None, typer.Option("--out", help="Write the tables to this JSON file.")] = None,
-    plot: Annotated[Path | None, typer.Option("--plot", help="Draw the tables to this picture, such as .svg.")] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="FILE", help="Write the tables to this JSON file.")
+    ] = None,
+    plot: Annotated[
+        Path | None, typer.Option("--plot", metavar="FILE", help=f"Draw the tables: {', '.join(PICTURES)}.")
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Say what became of finished designs, cell by cell: runs, outcomes, interventions, grip used.
 
     Example: roadgrip-train cells build/ideal --out build/cells.json --plot build/cells.svg
     """
-    driven = {title_of(folder): (folder, read_runs(folder)) for folder in folders}
+    if plot is not None and plot.suffix not in PICTURES:
+        raise typer.BadParameter(f"{plot} must end in one of {', '.join(PICTURES)}", param_hint="--plot")
+    driven = {title: (folder, read_runs(folder)) for title, folder in _titles_of(folders).items()}
     tables = {
         title: (folder, cells_of(runs, kept_wanted_count=_kept_wanted_count(folder)))
         for title, (folder, runs) in driven.items()
@@ -153,12 +172,13 @@ def drive(design: Design, folder: Path, *, workers: int | None, command: str, ra
         **{f"version.{tool}": version(tool) for tool in ("roadgrip", "numpy", "numba")},
     }
     with progress_bar() as bar:
-        task = bar.add_task(f"driving {design.name} (the first time, compiling)", total=None, rate="")
+        task = bar.add_task(f"driving {design.name}, compiling first", total=None, rate="")
 
         def show(now: simulation.Progress) -> None:
             elapsed_s = bar.tasks[task].elapsed or 0.0
             rate = f"{now.driven_now_count / elapsed_s:.0f} drives/s" if now.driven_now_count else ""
-            bar.update(task, total=now.wanted_count, completed=now.done_count, rate=rate)
+            doing = f"driving {design.name}" if now.attempts_count else None
+            bar.update(task, description=doing, total=now.wanted_count, completed=now.done_count, rate=rate)
 
         return simulation.drive_design(
             design, folder, workers_count=workers, with_drives=raw, provenance=provenance, on_progress=show
@@ -170,8 +190,8 @@ def print_cells(runs: Runs, table: tuple[Cell, ...], *, title: str) -> None:
     infeasible = [f"{cell.scenario} at {cell.base_friction_mu:.2f}" for cell in table if not cell.feasible]
     if len(table) > _MOST_ROWS_COUNT:
         table = cells_of(by_friction(runs))
-    names = ("base", "drives", "kept", "left road", "spun", "refused", "ESC", "grip used")
-    shown = Table(Column("scenario", no_wrap=True), *names, title=title, caption="shares in %", padding=(0, 0))
+    names = ("scenario", "base", "drives", "kept", "left\nroad", "spun", "refused", "ESC", "grip\nused")
+    shown = Table(*names, title=title, caption="shares in %", padding=(0, 0))
     for cell, following in zip(table, (*table[1:], None), strict=True):
         share = [cell.left_road_frac, cell.spun_frac, cell.rejected_frac, cell.esc_runs_frac]
         used = None if cell.utilisation_ratio is None else cell.utilisation_ratio["q50"]
@@ -184,17 +204,57 @@ def print_cells(runs: Runs, table: tuple[Cell, ...], *, title: str) -> None:
             *("-" if value is None else f"{100 * value:.0f}" for value in (*share, used)),
             end_section=following is None or following.scenario != cell.scenario,
         )
-    Console().print(shown)
+    # A narrow terminal breaks lines, but never drops figures.
+    terminal = Console()
+    needed = Measurement.get(terminal, terminal.options.update(max_width=1000), shown).maximum
+    Console(width=max(terminal.width, needed)).print(shown)
     if infeasible:
         typer.echo(f"infeasible, {len(infeasible)} cells: {', '.join(infeasible)}")
 
 
 def title_of(folder: Path) -> str:
-    """Return what a finished design's folder holds, in few words."""
+    """Return what a finished design's folder holds, in few words.
+
+    Raises:
+        DatasetError: It holds no finished design.
+    """
     origin = _origin(folder)
+    if "design" not in origin:
+        raise DatasetError(f"{folder / RUNS_FILE_NAME} does not say which design it is")
     named = DESIGNS.get(origin["design"])
     drivers = "test" if named is not None and named.test_drivers else origin["driver_kind"]
     return f"{origin['design']}, {drivers} drivers, {origin['sensor_grade']} sensors"
+
+
+def _titles_of(folders: list[Path]) -> dict[str, Path]:
+    """Return folders by what they hold; those that hold the like, on two seeds perhaps, by their place as well."""
+    titles = {folder: title_of(folder) for folder in folders}
+    found = Counter(titles.values())
+    return {title if found[title] == 1 else f"{title} ({folder})": folder for folder, title in titles.items()}
+
+
+def _check_holds_no_other(folder: Path, design: Design) -> None:
+    """Keep a finished table from being replaced by that of other drives; more of the same may take its place.
+
+    Raises:
+        DatasetError: The folder holds other drives.
+    """
+    try:
+        origin = _origin(folder)
+    except DatasetError:  # nothing there, or something that a crash cut short
+        return
+    terms = design.terms
+    asked = {
+        "design": design.name,
+        "seed": str(terms.seed),
+        "sensor_grade": terms.sensor_grade.value,
+        "driver_kind": terms.driver_kind.value,
+    }
+    if any(origin.get(name) != value for name, value in asked.items()):
+        raise DatasetError(
+            f"{folder} holds other drives ({title_of(folder)}, seed {origin.get('seed')}); "
+            f"choose another folder, or remove it"
+        )
 
 
 def _design(name: str | None, sections: list[Path], terms: Terms, size: Size) -> Design:
@@ -210,7 +270,10 @@ def _design(name: str | None, sections: list[Path], terms: Terms, size: Size) ->
         raise typer.BadParameter(f"no design {terms.design_name!r}; there are {known}", param_hint="--design")
     if DESIGNS[terms.design_name].test_drivers and terms.driver_kind is not DriverKind.PRUDENT:
         raise typer.BadParameter(f"{terms.design_name} has test drivers of its own", param_hint="--driver")
-    return named_design(terms.design_name, terms, size)
+    chosen = named_design(terms.design_name, terms, size)
+    if not chosen.scenarios:
+        raise typer.BadParameter(f"{terms.design_name} has nothing but random roads", param_hint="--random-roads")
+    return chosen
 
 
 def _command(design: Design, size: Size, sections: list[Path], *, raw: bool) -> str:
@@ -230,7 +293,9 @@ def _command(design: Design, size: Size, sections: list[Path], *, raw: bool) -> 
 def _origin(folder: Path) -> dict[str, str]:
     path = folder / RUNS_FILE_NAME
     if not path.is_file():
-        raise DatasetError(f"no finished design in {folder}; drive one with `roadgrip-train simulate`")
+        begun = (folder / SHARDS_FOLDER_NAME).is_dir()
+        way = "give its `roadgrip-train simulate` again" if begun else "drive one with `roadgrip-train simulate`"
+        raise DatasetError(f"no finished design in {folder}; {way}")
     return read_description(path)
 
 

@@ -16,14 +16,14 @@ import pytest
 import typer.main
 
 import rsu_app.__main__
-import training.__main__
+import training.cli
 import vehicle_client.__main__
 from tests.system.daemons import Daemon
 
 PROGRAMS: dict[str, Any] = {
     "roadgrip-rsu": typer.main.get_command(rsu_app.__main__.app),
     "roadgrip-vehicle": typer.main.get_command(vehicle_client.__main__.app),
-    "roadgrip-train": typer.main.get_command(training.__main__.app),
+    "roadgrip-train": typer.main.get_command(training.cli.app),
 }
 FENCE = re.compile(r"^```(?:sh|console)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 

@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 from roadgrip.bundle import manifest_from_json
 from roadgrip.features import road_features
 from roadgrip.sections import read_section
-from training.__main__ import app
+from training.cli import app
 from training.dataset import COMPLETED, DatasetError, Runs, read_description, read_runs, write_runs
 from training.passage_rows import drive_shard
 from training.scenarios import Design, Quota, Scenario, Terms, attempted, kept, run_of, surveyed_map

@@ -1,0 +1,280 @@
+"""roadgrip-train: drives with known friction become the model that road side units run.
+
+Four steps (simulate, fit, export, bundle), each leaving its result on disk, or all of them at once::
+
+    roadgrip-train designs                            list what can be driven
+    roadgrip-train simulate --out build/runs          drive a design, write Parquet
+    roadgrip-train cells build/runs                   say how the drives ended, cell by cell
+    roadgrip-train fit build/runs --out build/fit     grow trees, judge them on runs they never saw
+    roadgrip-train export build/fit --out model.onnx  convert, and prove that nothing changed
+    roadgrip-train bundle build/runs --fit build/fit --out build/bundle
+
+    roadgrip-train default-bundle                     remake the bundle that comes with roadgrip
+"""
+
+from __future__ import annotations
+
+import json
+import platform
+from concurrent.futures import BrokenExecutor
+from dataclasses import replace
+from importlib.metadata import version
+from importlib.resources import files
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, NoReturn
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from roadgrip.bundle import BundleManifest
+from roadgrip.errors import RoadgripError
+from training.cells import cells_of
+from training.cli_designs import (
+    DEFAULT_SEED,
+    AsJson,
+    RunsCount,
+    Seed,
+    Workers,
+    cells,
+    console,
+    designs,
+    drive,
+    print_cells,
+    progress_bar,
+    simulate,
+    title_of,
+)
+from training.dataset import Runs, read_runs
+from training.designs import Size, named_design
+from training.fit_parameters import FitParameters
+from training.scenarios import Terms
+from vehicle_client.simulator.plan import SensorGrade
+
+# Trees and ONNX take seconds to import: they are where they are needed.
+if TYPE_CHECKING:
+    from training.regressor import Fitted
+
+BUNDLE_NAME = "roadgrip-global"
+DEFAULT_BUNDLE_FOLDER = Path(str(files("rsu_app") / "default_bundle"))
+DEFAULT_RUNS_COUNT = 250
+DEFAULT_RANDOM_ROADS_COUNT = 120
+DEFAULT_RANDOM_RUNS_COUNT = 4
+DEFAULT_FIT = FitParameters()
+
+app = typer.Typer(
+    name="roadgrip-train",
+    # A backspace alone on a line keeps what follows from being filled like prose.
+    help=(__doc__ or "").replace("::\n", ":\n").replace("\n\n    ", "\n\n\b\n    "),
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+)
+
+
+def _print_version(asked: bool) -> None:
+    if asked:
+        typer.echo(f"roadgrip {version('roadgrip')}")
+        raise typer.Exit
+
+
+@app.callback()
+def _root(
+    show_version: Annotated[
+        bool, typer.Option("--version", help="Print the version.", callback=_print_version, is_eager=True)
+    ] = False,
+) -> None:
+    """Turn drives with known friction into the model that road side units run."""
+
+
+Trees = Annotated[int, typer.Option("--trees", min=1, help="Boosting rounds.")]
+Depth = Annotated[int, typer.Option("--depth", min=1, max=12, help="Levels of one tree.")]
+RunsFolder = Annotated[Path, typer.Argument(help="Folder of Parquet shards, or one Parquet file.")]
+
+
+app.command()(simulate)
+app.command()(designs)
+app.command()(cells)
+
+
+@app.command(name="fit")
+def fit_command(
+    data: RunsFolder,
+    *,
+    out: Annotated[Path, typer.Option("--out", help="Folder for the trees.")],
+    trees: Trees = DEFAULT_FIT.trees_count,
+    depth: Depth = DEFAULT_FIT.depth_count,
+    seed: Annotated[int, typer.Option(min=0, help="Of the split and of the trees.")] = DEFAULT_FIT.seed,
+    as_json: AsJson = False,
+) -> None:
+    """Fit boosted trees to nine tenths of the runs and judge them on the rest.
+
+    Example: roadgrip-train fit build/ideal --out build/fit
+    """
+    from training.fit_files import write_fit
+
+    runs = read_runs(data)
+    parameters = FitParameters(trees_count=trees, depth_count=depth, seed=seed)
+    fitted = _fit(runs, parameters)
+    write_fit(fitted, out, runs=runs, parameters=parameters)
+    _print_metrics(fitted.metrics, as_json=as_json)
+
+
+@app.command()
+def export(
+    fit_folder: Annotated[Path, typer.Argument(help="What `fit` wrote.")],
+    out: Annotated[Path, typer.Option("--out", help="The ONNX file.")],
+    data: Annotated[Path, typer.Option("--data", help="The runs it was fitted to: both models must agree on them.")],
+    as_json: AsJson = False,
+) -> None:
+    """Convert the trees to ONNX; nothing is written unless both answer alike on thousands of rows.
+
+    Example: roadgrip-train export build/fit --data build/ideal --out build/model.onnx
+    """
+    from training.export import check_parity, parity_rows, to_onnx
+    from training.fit_files import read_trees
+
+    trees = read_trees(fit_folder)
+    runs = read_runs(data)
+    model = to_onnx(trees)
+    rows = parity_rows(runs.features[runs.usable], rng=np.random.default_rng(0))
+    difference_mu = check_parity(trees, model, rows)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    out.write_bytes(model)
+    if as_json:
+        typer.echo(json.dumps({"rows_count": len(rows), "largest_difference_mu": difference_mu, "bytes": len(model)}))
+    else:
+        typer.echo(f"{out}: {len(model) / 1e6:.2f} MB; differs from the trees by at most {difference_mu:.1e}")
+
+
+@app.command()
+def bundle(
+    data: RunsFolder,
+    fit_folder: Annotated[Path, typer.Option("--fit", help="What `fit` wrote for these runs.")],
+    out: Annotated[Path, typer.Option("--out", help="Folder for the bundle.")],
+    name: Annotated[str, typer.Option(help="Name of the bundle.")] = BUNDLE_NAME,
+    as_json: AsJson = False,
+) -> None:
+    """Make a bundle that a road side unit can load: model, envelope, golden vectors, figures, provenance.
+
+    Example: roadgrip-train bundle build/ideal --fit build/fit --out build/bundle
+    """
+    from training.fit_files import read_fit
+
+    runs = read_runs(data)
+    fitted, parameters = read_fit(fit_folder, runs=runs)
+    manifest = _bundle(runs, fitted, out, name=name, command="roadgrip-train bundle", parameters=parameters)
+    _print_bundle(manifest, out, as_json=as_json)
+
+
+@app.command()
+def default_bundle(
+    *,
+    out: Annotated[
+        Path, typer.Option("--out", help="Folder for the bundle.", show_default="the packaged bundle's")
+    ] = DEFAULT_BUNDLE_FOLDER,
+    work: Annotated[Path, typer.Option("--work", help="Folder for the runs; goes on where it was.")] = Path(
+        "build/default-bundle"
+    ),
+    runs: RunsCount = DEFAULT_RUNS_COUNT,
+    random_roads: Annotated[int, typer.Option(min=0, help="Random roads.")] = DEFAULT_RANDOM_ROADS_COUNT,
+    seed: Seed = DEFAULT_SEED,
+    workers: Workers = None,
+    as_json: AsJson = False,
+) -> None:
+    """Remake the bundle that comes with roadgrip: simulate, fit, export, bundle.
+
+    The paper's three roads with many vehicles, random roads with a few, automotive sensors, prudent drivers.
+    """
+    terms = Terms("mixed", seed, SensorGrade.AUTOMOTIVE)
+    size = Size(runs, random_roads_count=random_roads, random_runs_count=DEFAULT_RANDOM_RUNS_COUNT)
+    command = f"roadgrip-train default-bundle --runs {runs} --random-roads {random_roads} --seed {seed}"
+    folder = work / "runs"
+    driven = drive(named_design("mixed", terms, size), folder, workers=workers, command=command)
+    fitted = _fit(driven, DEFAULT_FIT)
+    manifest = _bundle(driven, fitted, out, name=BUNDLE_NAME, command=command, parameters=DEFAULT_FIT)
+    if not as_json:
+        print_cells(driven, cells_of(driven), title=title_of(folder))
+    _print_bundle(manifest, out, as_json=as_json)
+
+
+def run() -> None:
+    """Run the command line; an error of ours is one clear line and exit code 2."""
+    try:
+        app()
+    except RoadgripError as error:
+        _leave(str(error))
+    except BrokenExecutor:
+        _leave("a worker was killed, perhaps for want of memory; give the command again, with fewer --workers")
+    except OSError as error:  # a file or folder that was named and cannot be used
+        _leave(str(error) if error.filename is None else f"cannot use {error.filename}: {error.strerror}")
+
+
+def _leave(reason: str) -> NoReturn:
+    # As it is, not wrapped: a path shall stay in one piece.
+    console.print(Text.assemble(("error: ", "red"), reason), highlight=False, soft_wrap=True)
+    raise SystemExit(2)
+
+
+def _fit(runs: Runs, parameters: FitParameters) -> Fitted:
+    from training.regressor import FEWEST_ROADS, ROAD_FOLDS_COUNT, fit, mape_ratio_on_unseen_roads
+
+    with progress_bar() as bar:
+        task = bar.add_task(f"growing trees on {int(runs.usable.sum())} runs", total=parameters.trees_count, rate="")
+        fitted = fit(runs, parameters, on_round=lambda done: bar.update(task, completed=done))
+        if len(set(runs.section_id)) < FEWEST_ROADS:
+            return fitted
+        folds = bar.add_task("judging on roads that were not learned", total=ROAD_FOLDS_COUNT, rate="")
+        unseen = mape_ratio_on_unseen_roads(runs, parameters, on_fold=lambda done: bar.update(folds, completed=done))
+    return replace(fitted, metrics={**fitted.metrics, "mape_ratio_unseen_roads": unseen})
+
+
+def _bundle(
+    runs: Runs, fitted: Fitted, out: Path, *, name: str, command: str, parameters: FitParameters
+) -> BundleManifest:
+    from training.bundling import write_bundle
+
+    tools = ("roadgrip", "numpy", "xgboost-cpu", "onnx", "onnxmltools", "onnxruntime")
+    provenance = {
+        "command": command,
+        "fit_parameters": str(parameters),
+        "python": platform.python_version(),
+        **{f"version.{tool}": _version_of(tool) for tool in tools},
+    }
+    return write_bundle(runs, fitted, out, name=name, provenance=provenance, rng=np.random.default_rng(parameters.seed))
+
+
+def _version_of(distribution: str) -> str:
+    try:
+        return version(distribution)
+    except ModuleNotFoundError:
+        return "not installed under this name"
+
+
+def _print_metrics(metrics: dict[str, float], *, as_json: bool) -> None:
+    if as_json:
+        typer.echo(json.dumps(metrics))
+        return
+    roads = {name.split(".", 1)[1]: value for name, value in metrics.items() if name.startswith("mape_ratio.")}
+    table = Table("road", "MAPE %", title=f"On {metrics['rows_count']:.0f} runs that were not learned from")
+    table.add_row("all", f"{100 * metrics['mape_ratio']:.2f}")
+    for road, value in roads.items():
+        if not road.startswith("random-"):
+            table.add_row(road, f"{100 * value:.2f}")
+    if "mape_ratio_unseen_roads" in metrics:
+        table.add_row("roads never seen (mean)", f"{100 * metrics['mape_ratio_unseen_roads']:.2f}")
+    table.caption = f"relative RMS {100 * metrics['relative_rms_ratio']:.2f} %"
+    Console().print(table)
+
+
+def _print_bundle(manifest: BundleManifest, folder: Path, *, as_json: bool) -> None:
+    if as_json:
+        typer.echo(json.dumps({"bundle_id": manifest.bundle_id, "folder": str(folder), "metrics": manifest.metrics}))
+        return
+    _print_metrics(manifest.metrics, as_json=False)
+    typer.echo(
+        f"bundle {manifest.name} {manifest.bundle_id} in {folder}; friction {manifest.mu_range[0]:.2f} to "
+        f"{manifest.mu_range[1]:.2f}; {manifest.envelope.outside_allowed_count} features may lie outside the envelope"
+    )
