@@ -85,9 +85,11 @@ class Lanes:
         self._rough_m = _with_room(self._rough_m, rough_m.shape)
         self._rough_m[lane, : len(rough_m)] = rough_m
         if self._log.shape[2] < samples_limit_count:
-            # No log is lost: whoever drives keeps what he has logged so far.
+            # No log is lost: whoever drives keeps what he has logged so far. The rest is not touched, so that it costs
+            # no memory before somebody drives as long.
+            kept_count = self._counts[journey.SAMPLE].max()
             longer = np.empty((LANES, REPORT_COUNT, samples_limit_count))
-            longer[:, :, : self._log.shape[2]] = self._log
+            longer[:, :, :kept_count] = self._log[:, :, :kept_count]
             self._log = longer
         self._counts[:, lane] = 0, samples_limit_count, len(lines) - 1, len(rough_m) - 1, journey.RUNNING
 
