@@ -258,7 +258,8 @@ def _print_metrics(metrics: dict[str, float], *, as_json: bool) -> None:
         typer.echo(json.dumps(metrics))
         return
     roads = {name.split(".", 1)[1]: value for name, value in metrics.items() if name.startswith("mape_ratio.")}
-    table = Table("road", "MAPE %", title=f"On {metrics['rows_count']:.0f} runs that were not learned from")
+    title = f"On {metrics['rows_count']:.0f} runs that were not learned from"
+    table = Table("road", "MAPE %", title=title, min_width=len(title))
     table.add_row("all", f"{100 * metrics['mape_ratio']:.2f}")
     for road, value in roads.items():
         if not road.startswith("random-"):

@@ -262,6 +262,9 @@ def _design(name: str | None, sections: list[Path], terms: Terms, size: Size) ->
         if name is not None:
             raise typer.BadParameter("a design has its own sections; give one or the other", param_hint="--section")
         roads = tuple(read_section(path) for path in sections)
+        found = Counter(road.section_id for road in roads)
+        if twice := [section_id for section_id, count in found.items() if count > 1]:
+            raise typer.BadParameter(f"{', '.join(twice)} is given more than once", param_hint="--section")
         return sections_design(
             roads, Terms(SECTIONS_DESIGN_NAME, terms.seed, terms.sensor_grade, terms.driver_kind), size
         )

@@ -116,8 +116,12 @@ def test_the_page_on_vehicles_makes_a_drive_and_reads_it(project_root, tmp_path)
 
 
 @pytest.mark.system
-def test_the_page_on_vehicles_draws_two_drives(project_root, tmp_path):
-    printed = run(block_with(project_root / "docs" / "vehicle.md", "--second-friction"), tmp_path)
+@pytest.mark.parametrize("speed_kmh", [100, 90, 110])
+def test_the_page_on_vehicles_draws_two_drives(project_root, tmp_path, speed_kmh):
+    block = block_with(project_root / "docs" / "vehicle.md", "--second-friction")
+    assert "--speed 100 " in block
+    # The page says how far its story reaches.
+    printed = run(block.replace("--speed 100 ", f"--speed {speed_kmh} "), tmp_path)
     kept, spun = printed.split("picture: drive.png")
     assert "completed" in kept
     assert "spun at" in spun

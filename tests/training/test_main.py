@@ -43,6 +43,7 @@ def test_what_cannot_be_is_one_line_and_exit_code_2(arguments, needle, tmp_path,
     [
         (["--design", "moon"], "moon"),
         (["--design", "paper", "--section", "s-turn"], "one or the other"),
+        (["--section", "s-turn", "--section", "s-turn"], "s-turn is given more than once"),
         (["--design", "manoeuvres", "--driver", "reacting"], "drivers of its own"),
         (["--design", "random-roads", "--random-roads", "0"], "nothing but random roads"),
     ],

@@ -79,6 +79,8 @@ def draw_drive(driven: SingleDrive, section: RoadSection, path: Path) -> None:
     Raises:
         ConfigurationError: matplotlib is not installed, or the file cannot be written.
     """
+    if path.is_dir():
+        raise ConfigurationError(f"cannot draw into {path}: it is a folder")
     figure = drive_figure(driven, section)
     try:
         if path.suffix.lower() == ".png":
@@ -254,7 +256,7 @@ def _headline(driven: SingleDrive, section: RoadSection) -> str:
     drive = driven.drive
     words = [
         f"{section.name}: {outcome_text(driven)}",
-        f"friction {drive.label_mu:.2f}",
+        f"lowest friction {drive.label_mu:.2f}",
         f"{drive.peak_utilisation_ratio:.0%} of the grip used",
         f"{drive.plan.sensor_grade.value} sensors",
     ]

@@ -235,7 +235,7 @@ def test_a_picture_is_written_as_its_name_asks(failed: SingleDrive, s_turn: Road
 @pytest.mark.sim
 def test_a_picture_that_cannot_be_written_is_said(failed: SingleDrive, s_turn: RoadSection, tmp_path: Path):
     pytest.importorskip("matplotlib")
-    for path in (tmp_path / "no" / "folder.png", tmp_path / "drive.nothing"):
+    for path in (tmp_path / "no" / "folder.png", tmp_path / "drive.nothing", tmp_path):
         with pytest.raises(ConfigurationError, match="cannot draw into"):
             draw_drive(failed, s_turn, path)
 
