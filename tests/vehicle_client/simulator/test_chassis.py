@@ -173,3 +173,59 @@ def test_half_the_step_changes_little():
     a = coarse.run(4.0, steer_rate_radps=0.01, hold_speed_mps=20.0)
     b = fine.run(4.0, steer_rate_radps=0.01, hold_speed_mps=20.0)[1::2]
     assert np.abs(a - b).max() < 0.01
+
+
+@pytest.mark.parametrize("angle_rad", [-0.4, 0.0, 0.4])
+def test_gravity_pulls_down_the_slope_whichever_way_the_car_points(angle_rad):
+    grade, cross = 0.05, 0.03
+    rig = Rig(mu=1e-6, grade_ratio=grade, cross_slope_ratio=cross)
+    rig.of_wheels(lanes.ANGLE)[:] = angle_rad
+    rig.run(rig.step_s)
+    fall = GRAVITY_MPS2 / np.sqrt(1.0 + grade**2 + cross**2)
+    pulled_x = rig.of_body(lanes.ACCEL_X) - rig.of_body(lanes.FORCE_X)
+    pulled_y = rig.of_body(lanes.ACCEL_Y) - rig.of_body(lanes.FORCE_Y)
+    assert pulled_x == pytest.approx(-fall * (grade * np.cos(angle_rad) + cross * np.sin(angle_rad)), abs=1e-6)
+    assert pulled_y == pytest.approx(-fall * (cross * np.cos(angle_rad) - grade * np.sin(angle_rad)), abs=1e-6)
+
+
+@pytest.mark.parametrize("offset_m", [-2.0, 0.0, 2.0])
+def test_on_the_inside_of_a_bend_the_road_passes_faster(offset_m):
+    rig = Rig()
+    rig.of_wheels(lanes.CURVATURE)[:] = 0.02
+    rig.of_wheels(lanes.OFFSET)[:] = offset_m
+    rig.run(rig.step_s)
+    assert rig.of_body(lanes.PACE) == pytest.approx(20.0 / (1.0 - 0.02 * offset_m), rel=1e-4)
+    assert rig.of_body(lanes.ANGLE) == pytest.approx(-0.02 * rig.of_body(lanes.PACE) * rig.step_s, rel=1e-3)
+
+
+@pytest.mark.parametrize("wheel", [0, 1, 2, 3])
+def test_a_bump_loads_the_wheel_that_stands_on_it_and_lifts_its_corner(wheel):
+    flat, bumpy = Rig(), Rig()
+    bumpy.of_wheels(lanes.ROAD_Z)[wheel] = 0.01
+    for rig in (flat, bumpy):
+        rig.run(rig.step_s)
+    more = bumpy.of_wheels(lanes.LOAD) - flat.of_wheels(lanes.LOAD)
+    assert more[wheel] == pytest.approx(0.01 * XC90.tyre.vertical_stiffness_npm, rel=0.01)
+    np.testing.assert_allclose(np.delete(more, wheel), 0.0, atol=1e-9)
+    for rig in (flat, bumpy):
+        rig.run(3.0)
+    assert bumpy.of_wheels(lanes.SPRUNG_Z)[wheel] == pytest.approx(0.01, rel=0.02)
+    assert np.abs(bumpy.of_wheels(lanes.LOAD) - flat.of_wheels(lanes.LOAD)).max() < 10.0
+
+
+def test_the_road_changes_by_its_steps():
+    rig = Rig()
+    rows = (
+        (lanes.FRICTION, lanes.FRICTION_STEP),
+        (lanes.CURVATURE, lanes.CURVATURE_STEP),
+        (lanes.GRADE, lanes.GRADE_STEP),
+        (lanes.CROSS_SLOPE, lanes.CROSS_SLOPE_STEP),
+        (lanes.GRADE_CHANGE, lanes.GRADE_CHANGE_STEP),
+        (lanes.CROSS_CHANGE, lanes.CROSS_CHANGE_STEP),
+    )
+    before = [rig.of_body(row) for row, _ in rows]
+    for k, (_, step_row) in enumerate(rows):
+        rig.of_wheels(step_row)[:] = 1e-5 * (k + 1)
+    rig.run(5 * rig.step_s)
+    for k, (row, _) in enumerate(rows):
+        assert rig.of_body(row) == pytest.approx(before[k] + 5e-5 * (k + 1), abs=1e-12)

@@ -102,3 +102,17 @@ def test_a_lighter_higher_or_narrower_car_follows_its_own_limit(mu):
 def test_on_a_bank_the_car_corners_with_what_its_loaded_tyres_give(mu, cross_slope_ratio):
     expected = analytic.lateral_limit_mps2(mu, cross_slope_ratio=cross_slope_ratio)
     assert largest_lateral_force_mps2(mu, cross_slope_ratio=cross_slope_ratio) == pytest.approx(expected, rel=0.02)
+
+
+@pytest.mark.parametrize("mu", [0.1, 0.4, 0.9])
+def test_spinning_wheels_take_no_more_power_than_the_engine_has(mu):
+    motion = drive_open_loop(Plane(mu), speed_mps=8.0, steer_rad=np.zeros(600), accel_mps2=np.full(600, 8.0))
+    # What the wheels give to the road and lose in it, and what their spin stores.
+    spin = motion.wheel_speed_radps
+    given = (
+        motion.wheel_force_x_n + XC90.tyre.rolling_resistance_ratio * motion.wheel_load_n
+    ) * XC90.tyre.rolling_radius_m
+    stored = XC90.wheel_inertia_kgm2 * np.gradient(spin, motion.time_s, axis=0)
+    power = ((given + stored) * spin).sum(1)[50:-5]
+    assert power.max() < 1.02 * XC90.power_w
+    assert power.mean() > 0.9 * XC90.power_w
