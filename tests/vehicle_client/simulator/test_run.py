@@ -321,14 +321,19 @@ def test_the_cache_key_names_the_compiled_code():
     assert int(compiled_cache_key(), 16) > 0
 
 
-@pytest.mark.parametrize("roughness", [None, RoughnessClass.A])
-def test_a_car_that_walks_neither_stops_nor_shakes_its_steering(roughness):
-    plan = replace(CALM, target_speed_mps=1.0, approach_m=60.0, roughness=roughness)
-    truth = simulate_passage(ROAD, plan).truth
-    straight = truth.station_m < 0.0
-    assert truth.station_m[-1] > 0.0
-    assert np.abs(truth.velocity_x_mps - 1.0).max() < 0.02
-    assert np.abs(truth.steer_rad[straight]).max() < 0.005
+def short_road():
+    x = np.linspace(0.0, 21.0, 5)
+    return build_section(
+        section_id="short", name="short", nodes_m=np.column_stack([x, 0.0 * x, 0.05 * x]), speed_limit_mps=20.0
+    )
+
+
+def test_a_car_that_walks_neither_stops_nor_shakes_its_steering():
+    plan = replace(CALM, target_speed_mps=1.0, approach_m=40.0, roughness=RoughnessClass.A)
+    truth = simulate_passage(short_road(), plan).truth
+    assert truth.time_s[-1] > 30.0
+    assert np.abs(truth.velocity_x_mps - 1.0).max() < 0.1
+    assert np.abs(truth.steer_rad).max() < 0.005
 
 
 def test_logs_that_grow_while_others_drive_lose_nothing():
@@ -341,11 +346,7 @@ def test_logs_that_grow_while_others_drive_lose_nothing():
 
 @pytest.mark.parametrize("approach_m", [0.0, 0.5, 3.0])
 def test_the_shortest_section_is_driven_without_approach_and_exit(approach_m):
-    x = np.linspace(0.0, 21.0, 5)
-    road = build_section(
-        section_id="short", name="short", nodes_m=np.column_stack([x, 0.0 * x, 0.05 * x]), speed_limit_mps=20.0
-    )
-    drive = simulate_passage(road, replace(CALM, approach_m=approach_m, exit_m=0.0))
+    drive = simulate_passage(short_road(), replace(CALM, approach_m=approach_m, exit_m=0.0))
     assert drive.completed
     assert drive.truth.station_m[0] == -approach_m
     assert all(np.isfinite(values).all() for _, values in arrays_of(drive))
