@@ -339,9 +339,9 @@ def test_a_car_that_walks_neither_stops_nor_shakes_its_steering():
 def test_logs_that_grow_while_others_drive_lose_nothing():
     # Every drive may last longer than any before it.
     plans = [replace(CALM, seed=i, approach_m=2.0 * i, exit_m=5.0 * i) for i in range(LANES + 3)]
-    batch = simulate_passages(ROAD, plans)
+    batch = simulate_passages(short_road(), plans)
     for i in (0, LANES - 1, LANES, LANES + 2):
-        assert same(batch[i], simulate_passage(ROAD, plans[i]))
+        assert same(batch[i], simulate_passage(short_road(), plans[i]))
 
 
 @pytest.mark.parametrize("approach_m", [0.0, 0.5, 3.0])
