@@ -308,13 +308,11 @@ def _kept_wanted_count(folder: Path) -> int | None:
 
 
 def _document(tables: dict[str, tuple[Path, tuple[Cell, ...]]]) -> dict[str, Any]:
-    designs_found = []
-    wall_s = 0.0
-    for title, (folder, table) in tables.items():
-        origin = _origin(folder)
-        wall_s += float(origin.get("wall_s", "nan"))
-        designs_found.append({"title": title, **to_json(table, origin=origin)})
-    return {"wall_minutes": round(wall_s / 60.0, 2), "designs": designs_found}
+    return {
+        "designs": [
+            {"title": title, **to_json(table, origin=_origin(folder))} for title, (folder, table) in tables.items()
+        ]
+    }
 
 
 def _write_json(document: dict[str, Any], path: Path) -> None:
