@@ -22,6 +22,7 @@ from pathlib import Path
 import numpy as np
 from scipy.integrate import odeint
 
+from bench.bench_simulator import overall_speed_ratio, speed_of
 from bench.measurement import ROADS, keep_figures, parser_of, table_of
 from bench.simulator_oracle import (
     YAW_RATE,
@@ -31,15 +32,12 @@ from bench.simulator_oracle import (
     oracle_parameters,
     right_hand_side,
 )
-from roadgrip.sections import read_section
 from roadgrip.units import SAMPLE_S, FloatArray
 from vehicle_client.simulator.journey import STEP_S
-from vehicle_client.simulator.run import SensorGrade, compiled_cache_key, draw_plan, simulate_passages, warm_up
+from vehicle_client.simulator.run import SensorGrade, compiled_cache_key, warm_up
 
 RESULTS_FOLDER = Path(__file__).resolve().parents[1] / "docs" / "results" / "simulator"
-BASE_FRICTIONS_MU = (0.25, 0.35, 0.5, 0.7)
 ROUNDS_COUNT = 3
-SEED = 11
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,22 +100,10 @@ def our_speed(*, runs_count: int) -> float:
         runs_count: Drives per road and sensor grade.
     """
     warm_up()
-    best = 0.0
-    batches = []
-    rng = np.random.default_rng(SEED)
-    for road in ROADS:
-        section = read_section(road)
-        for grade in SensorGrade:
-            frictions = [BASE_FRICTIONS_MU[i % len(BASE_FRICTIONS_MU)] for i in range(runs_count)]
-            plans = [draw_plan(rng, section=section, base_friction_mu=mu, grade=grade) for mu in frictions]
-            batches.append((section, plans))
-    for _ in range(ROUNDS_COUNT):
-        simulated_s = 0.0
-        started_s = time.process_time()
-        for section, plans in batches:
-            simulated_s += sum(drive.trace.samples_count for drive in simulate_passages(section, plans)) * SAMPLE_S
-        best = max(best, simulated_s / (time.process_time() - started_s))
-    return best
+    return max(
+        overall_speed_ratio([speed_of(road, grade, runs_count=runs_count) for road in ROADS for grade in SensorGrade])
+        for _ in range(ROUNDS_COUNT)
+    )
 
 
 def paper_design_minutes(folder: Path) -> float | None:
@@ -140,7 +126,7 @@ def main() -> None:
     """Print the table and keep the figures."""
     parser = parser_of(__doc__, results_name="speed.json")
     parser.set_defaults(out=RESULTS_FOLDER / "speed.json")
-    parser.add_argument("--runs", type=int, default=60, help="drives per road and sensor grade")
+    parser.add_argument("--runs", type=int, default=160, help="drives per road and sensor grade")
     arguments = parser.parse_args()
     ours = our_speed(runs_count=arguments.runs)
     print(f"ours: {ours:.0f} simulated seconds per CPU second, everything on")
