@@ -19,6 +19,10 @@ _SPEED_RANGE_KPH = (20.0, 80.0)
 _SPEED_STEP_KPH = 10.0
 _HASTE_RANGE = (0.9, 1.4)
 """Rated speed over the one the tightest radius is designed for: the paper's roads lie between 1.0 and 1.6."""
+_CLEARANCE_M = 8.0
+"""A road comes no nearer to itself than a carriageway is wide."""
+_APART_M = 30.0
+"""Along the road; nearer places are neighbours even in the tightest bend."""
 _TRIES_COUNT = 200
 
 
@@ -26,7 +30,7 @@ def random_section(rng: np.random.Generator, *, section_id: str) -> RoadSection:
     """Return a curved section drawn at random.
 
     One to four turns; radii log-uniform, so that tight ones are as frequent as they matter; each turn eased in and
-    out by clothoids; the rated speed rounded to 10 km/h.
+    out by clothoids; the rated speed rounded to 10 km/h. It keeps clear of itself.
 
     Args:
         rng: Source of chance.
@@ -39,8 +43,20 @@ def random_section(rng: np.random.Generator, *, section_id: str) -> RoadSection:
         design = _draw_design(rng, section_id=section_id)
         length_m = sum(element.length_m for element in design.elements)
         if LENGTH_RANGE_M[0] <= length_m <= LENGTH_RANGE_M[1]:
-            return designed_section(design)
-    raise RuntimeError("no random road within the range of lengths")
+            section = designed_section(design)
+            if not _meets_itself(section):
+                return section
+    raise RuntimeError("no random road within the range of lengths that keeps clear of itself")
+
+
+def _meets_itself(section: RoadSection) -> bool:
+    """Return whether two places far apart along a road lie on top of each other."""
+    profile = section.profile
+    station_m = profile.station_m[::2]
+    place = profile.x_m[::2] + 1j * profile.y_m[::2]
+    near = np.abs(place[:, None] - place) < _CLEARANCE_M
+    far = np.abs(station_m[:, None] - station_m) > _APART_M
+    return bool((near & far).any())
 
 
 def _draw_design(rng: np.random.Generator, *, section_id: str) -> RoadDesign:

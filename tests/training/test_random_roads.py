@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from roadgrip.section import BANK_CAP_RATIO, BankOrigin, RoadSection
@@ -41,6 +41,7 @@ def test_a_road_starts_and_ends_straight_so_that_it_can_be_entered(seed: int) ->
 
 
 @given(seeds)
+@example(156)
 def test_a_road_never_crosses_itself(seed: int) -> None:
     profile = section_of(seed).profile
     assert not crosses_itself(np.column_stack([profile.x_m, profile.y_m])[::3])
