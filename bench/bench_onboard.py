@@ -20,10 +20,11 @@ from roadgrip.section import RoadSection
 from roadgrip.sections import read_section
 from roadgrip.units import SAMPLE_S, FloatArray
 from vehicle_client.estimation.observer import PAPER_PARAMETERS
+from vehicle_client.estimation.signals import kinematic_signals
 from vehicle_client.estimation.summary import kinematic_summary
 from vehicle_client.estimation.trace import Trace
 from vehicle_client.estimation.vehicle_geometry import XC90
-from vehicle_client.pipeline import Summarised, kinematic_signals, summarise_passage
+from vehicle_client.pipeline import Summarised, summarise_passage
 from vehicle_client.simulator.run import SensorGrade, draw_plan, simulate_passage
 
 PASSAGE_S = 40.0

@@ -58,6 +58,7 @@ REASON_CODES: Mapping[Reason, int] = {
     Reason.TOO_SLOW: 23,
     Reason.WRONG_ROAD: 24,
     Reason.PASSAGE_ABORTED: 25,
+    Reason.SENSOR_FAULT: 26,
 }
 ADVISORY_REASON_CODES: Mapping[AdvisoryReason, int] = {
     AdvisoryReason.FRICTION_INTERVAL: 0,

@@ -38,6 +38,7 @@ class Reason(StrEnum):
     TOO_SLOW = "too_slow"
     WRONG_ROAD = "wrong_road"
     PASSAGE_ABORTED = "passage_aborted"
+    SENSOR_FAULT = "sensor_fault"
 
     @property
     def may_retry(self) -> bool:

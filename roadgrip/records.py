@@ -50,6 +50,10 @@ class QualityFlag(IntFlag):
     SAMPLES_MISSING = 8
     REFERENCE_SPEED = 16
     """The speed came from a reference instrument, not from wheel encoders (recorded drives)."""
+    GNSS_POOR = 32
+    """Position fixes were there, yet too few or too bad along the section: dead reckoning bridged them."""
+    SENSORS_DOUBTFUL = 64
+    """Two sensors tell of different motions, by less than what keeps the passage back."""
 
 
 class NotCounted(IntFlag):

@@ -2,30 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from roadgrip.records import KinematicSummary, QualityFlag, Reason, Rejected
-from roadgrip.units import GRAVITY_MPS2
 from vehicle_client.estimation.filters import smoothed
 from vehicle_client.estimation.gaps import believable, bridged, longest_gap_s, missing_frac
-from vehicle_client.estimation.mounting import InertialSignals, at_centre_of_gravity, levelled
-from vehicle_client.estimation.observer import (
-    PAPER_PARAMETERS,
-    ObserverParameters,
-    observed_velocity_mps,
-    sideslip_rad,
-    sideslip_rate_radps,
-    straightness_1ps,
-)
+from vehicle_client.estimation.observer import PAPER_PARAMETERS, ObserverParameters
 from vehicle_client.estimation.offsets import SensorOffsets, sensor_offsets
-from vehicle_client.estimation.roll import chassis_roll_rad, road_accel_y_mps2
+from vehicle_client.estimation.signals import in_car_axes, kinematic_signals
 from vehicle_client.estimation.summary import KinematicSignals, kinematic_summary
 from vehicle_client.estimation.vehicle_geometry import XC90, VehicleGeometry
 from vehicle_client.estimation.wheel_speed import encoder_speed_mps
-from vehicle_client.estimation.yaw_rate import yaw_rate_excess_radps
 from vehicle_client.mapmatch.dead_reckoning import driven_line, match_by_dead_reckoning
 from vehicle_client.mapmatch.gnss import match_by_gnss, positions_usable
 from vehicle_client.mapmatch.match import MatchMethod, SectionMatch
@@ -104,7 +94,7 @@ def summarise_passage(
     if refusal is not None:
         return refusal
     # In the car's axes, from where they are subtracted: else a tilted sensor's share of gravity counts twice.
-    mounted = levelled(_sensed(trace), vehicle)
+    mounted = in_car_axes(trace, vehicle)
     offsets = sensor_offsets(
         mounted.accel_y_mps2,
         mounted.yaw_rate_radps,
@@ -124,95 +114,6 @@ def summarise_passage(
         quality=_quality(trace, match, offsets, missing=bool((inside & ~valid).any())),
     )
     return Summarised(summary=summary, match=match, signals=signals, offsets=offsets)
-
-
-def kinematic_signals(
-    trace: Trace,
-    section: RoadSection,
-    *,
-    station_m: FloatArray,
-    vehicle: VehicleGeometry,
-    parameters: ObserverParameters,
-    offsets: SensorOffsets,
-) -> KinematicSignals:
-    """Return everything the client estimates, at every sample.
-
-    Args:
-        trace: Without gaps (bridged), more than 30 samples.
-        section: The map, for bank and grade; beyond its ends they are held.
-        station_m: Position along the section. (n,)
-        vehicle: The own car.
-        parameters: Constants of the estimation.
-        offsets: To subtract from the sensors.
-    """
-    measured = _inertial(trace, vehicle, offsets)
-    yaw_rate = measured.yaw_rate_radps
-    accel_y = smoothed(measured.accel_y_mps2)
-    steer = smoothed(trace.steer_rad - offsets.steer_rad)
-    profile = section.profile
-    bank = np.arctan(np.interp(station_m, profile.station_m, profile.cross_slope_ratio))
-    climb = np.arctan(np.interp(station_m, profile.station_m, profile.grade_ratio))
-    accel_x = smoothed(measured.accel_x_mps2) - GRAVITY_MPS2 * np.sin(climb)
-
-    def speed_given(velocity_y_mps: FloatArray) -> FloatArray:
-        return encoder_speed_mps(
-            trace.wheel_speed_mps, yaw_rate, steer, accel_x, velocity_y_mps, vehicle=vehicle, parameters=parameters
-        )
-
-    speed = speed_given(np.zeros_like(yaw_rate))
-    roll = chassis_roll_rad(
-        accel_y,
-        yaw_rate,
-        speed,
-        measured.roll_rate_radps,
-        bank,
-        crossover_hz=parameters.roll_crossover_hz,
-    )
-    road_accel_y = road_accel_y_mps2(accel_y, chassis_roll_rad=roll, bank_rad=bank)
-    rate = sideslip_rate_radps(road_accel_y, yaw_rate, speed)
-    straight = straightness_1ps(yaw_rate, steer, rate, parameters=parameters)
-
-    def velocity_given(speed_mps: FloatArray) -> tuple[FloatArray, FloatArray]:
-        x, y = observed_velocity_mps(accel_x, road_accel_y, yaw_rate, speed_mps, straight, parameters=parameters)
-        return smoothed(x), smoothed(y)
-
-    _, velocity_y = velocity_given(speed)
-    # The front wheels roll partly sideways: once the lateral velocity is known, the encoders tell a better speed.
-    speed = speed_given(velocity_y)
-    velocity_x, velocity_y = velocity_given(speed)
-    return KinematicSignals(
-        steer_rad=steer,
-        sideslip_rad=sideslip_rad(velocity_x, velocity_y),
-        sideslip_rate_radps=sideslip_rate_radps(road_accel_y, yaw_rate, speed),
-        yaw_rate_excess_radps=yaw_rate_excess_radps(
-            yaw_rate, speed, steer, wheelbase_m=vehicle.wheelbase_m, track_m=vehicle.track_m
-        ),
-        speed_mps=np.maximum(speed, 0.0),
-        velocity_x_mps=velocity_x,
-        velocity_y_mps=velocity_y,
-        yaw_rate_radps=yaw_rate,
-        chassis_roll_rad=roll,
-        straightness_1ps=straight,
-    )
-
-
-def _sensed(trace: Trace) -> InertialSignals:
-    return InertialSignals(
-        accel_x_mps2=trace.accel_x_mps2,
-        accel_y_mps2=trace.accel_y_mps2,
-        roll_rate_radps=trace.roll_rate_radps,
-        yaw_rate_radps=trace.yaw_rate_radps,
-    )
-
-
-def _inertial(trace: Trace, vehicle: VehicleGeometry, offsets: SensorOffsets) -> InertialSignals:
-    signals = levelled(_sensed(trace), vehicle)
-    signals = replace(
-        signals,
-        accel_y_mps2=signals.accel_y_mps2 - offsets.accel_y_mps2,
-        yaw_rate_radps=signals.yaw_rate_radps - offsets.yaw_rate_radps,
-    )
-    return at_centre_of_gravity(signals, vehicle)
 
 
 def _rough_speed_mps(trace: Trace, *, vehicle: VehicleGeometry, parameters: ObserverParameters) -> FloatArray:

@@ -10,7 +10,9 @@ from packaging.requirements import Requirement
 
 pytestmark = [pytest.mark.xdist_group("packaging"), pytest.mark.system, pytest.mark.timeout(300)]
 
-VEHICLE_PURE = ("vehicle_client.estimation", "vehicle_client.mapmatch", "vehicle_client.pipeline")
+VEHICLE_PURE = tuple(
+    f"vehicle_client.{part}" for part in ("estimation", "mapmatch", "pipeline", "recording", "vehicle_profile")
+)
 
 # role -> what must import, all of it; what the lock must not hold.
 ROLES = {

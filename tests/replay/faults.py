@@ -13,7 +13,7 @@ from roadgrip.section import RoadSection
 from vehicle_client.estimation.trace import Trace
 from vehicle_client.estimation.vehicle_geometry import XC90, VehicleGeometry
 from vehicle_client.pipeline import Summarised, summarise_passage
-from vehicle_client.shell.sources import trace_of_samples
+from vehicle_client.recording.resampling import trace_of_samples
 from vehicle_client.simulator.faults import CLOCK_FAULTS, Fault, with_fault
 
 TELLING = ("speed_mean_mps", "steer_std_rad", "sideslip_std_rad", "yaw_rate_excess_std_radps")

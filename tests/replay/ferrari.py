@@ -8,7 +8,7 @@ from tests.replay.recordings import FERRARI, recording
 from vehicle_client.estimation.trace import Trace, part_of
 from vehicle_client.mapmatch.dead_reckoning import DrivenLine, driven_line
 from vehicle_client.mapmatch.survey import section_of_line
-from vehicle_client.shell.sources import FERRARI_250LM
+from vehicle_client.recording.public import FERRARI_250LM
 
 FERRARI_GEOMETRY = FERRARI_250LM.vehicle
 CURVE_M = (2030.0, 2330.0)

@@ -8,7 +8,9 @@ from pathlib import Path
 import pytest
 
 from roadgrip.units import FloatArray
-from vehicle_client.shell.sources import COMMA2K19_RAV4, FERRARI_250LM, IAC_AV21, Recording, read_recording
+from vehicle_client.recording.foreign import Recording
+from vehicle_client.recording.public import COMMA2K19_RAV4, FERRARI_250LM, IAC_AV21
+from vehicle_client.shell.sources import read_recording
 
 FOLDER = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "vehicle"
 

@@ -13,11 +13,12 @@ from tests.replay.recordings import FERRARI, INDY, MOTORWAY, recording, rms
 from vehicle_client.estimation.filters import rate_of_change, smoothed
 from vehicle_client.estimation.observer import PAPER_PARAMETERS
 from vehicle_client.estimation.offsets import NO_OFFSETS
+from vehicle_client.estimation.signals import kinematic_signals
 from vehicle_client.estimation.trace import mirrored
 from vehicle_client.estimation.wheel_speed import encoder_speed_mps
 from vehicle_client.mapmatch.dead_reckoning import driven_line
-from vehicle_client.pipeline import Summarised, kinematic_signals, summarise_passage
-from vehicle_client.shell.sources import IAC_AV21
+from vehicle_client.pipeline import Summarised, summarise_passage
+from vehicle_client.recording.public import IAC_AV21
 
 INDY_GEOMETRY = IAC_AV21.vehicle
 

@@ -265,7 +265,7 @@ def test_a_number_is_a_whole_number(key, value):
         (PASSAGE, {7: 2**70}, Reason.MALFORMED),  # a big number is a tag
         (PASSAGE, {5: -1}, Reason.IMPOSSIBLE_DURATION),
         (PASSAGE, {5: 2**63}, Reason.IMPOSSIBLE_DURATION),
-        (PASSAGE, {6: 32}, Reason.OUT_OF_RANGE),
+        (PASSAGE, {6: 128}, Reason.OUT_OF_RANGE),
         (BEACON, {2: -1}, Reason.OUT_OF_RANGE),
         (BEACON, {2: 65536}, Reason.OUT_OF_RANGE),
         (BEACON, {3: 6}, Reason.MALFORMED),
@@ -274,7 +274,7 @@ def test_a_number_is_a_whole_number(key, value):
         (RECEIPT, {1: 8}, Reason.OUT_OF_RANGE),
         (RECEIPT, {2: 1}, Reason.MALFORMED),  # accepted and rejected at once
         (SAMPLES["receipt-rejected"], {2: 0}, Reason.MALFORMED),
-        (SAMPLES["receipt-rejected"], {2: 26}, Reason.MALFORMED),
+        (SAMPLES["receipt-rejected"], {2: 27}, Reason.MALFORMED),
         (SAMPLES["receipt-rejected"], {3: "x" * 121}, Reason.MALFORMED),
         (SAMPLES["receipt-rejected"], {3: "\x1b[2J"}, Reason.MALFORMED),
         (ADVISORY, {2: -1}, Reason.OUT_OF_RANGE),

@@ -159,7 +159,7 @@ summaries = st.builds(
     values=st.lists(float32s, min_size=55, max_size=55).map(tuple),
     table_digest=st.just(TABLE_DIGEST),
     duration_s=seconds,
-    quality=st.integers(0, 31).map(QualityFlag),
+    quality=st.integers(0, int(sum(QualityFlag))).map(QualityFlag),
 )
 passages = st.builds(Passage, passage_ids, section_ids, digests, summaries, seconds)
 receipts = st.builds(

@@ -24,10 +24,11 @@ from tests.vehicle_client.synthetic import (
 )
 from vehicle_client.estimation.observer import PAPER_PARAMETERS
 from vehicle_client.estimation.offsets import NO_OFFSETS
+from vehicle_client.estimation.signals import kinematic_signals
 from vehicle_client.estimation.trace import Trace, mirrored, part_of
 from vehicle_client.estimation.vehicle_geometry import XC90
 from vehicle_client.mapmatch.match import MatchMethod
-from vehicle_client.pipeline import Summarised, kinematic_signals, summarise_passage
+from vehicle_client.pipeline import Summarised, summarise_passage
 
 SECTION = road(s_turn)
 TRACE, STATION = drive_over(s_turn)

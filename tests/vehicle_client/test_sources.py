@@ -11,15 +11,10 @@ from roadgrip.records import QualityFlag
 from tests.vehicle_client.synthetic import clock_s, drive_over, fixes_of, road, s_turn, surveyed
 from vehicle_client.estimation.trace import Trace
 from vehicle_client.estimation.vehicle_geometry import VehicleGeometry
-from vehicle_client.shell.sources import (
-    CHANNELS,
-    Channel,
-    ColumnMapping,
-    read_recording,
-    read_trace_csv,
-    trace_of_samples,
-    write_trace_csv,
-)
+from vehicle_client.recording.channels import CHANNELS
+from vehicle_client.recording.foreign import Channel, ColumnMapping
+from vehicle_client.recording.resampling import trace_of_samples
+from vehicle_client.shell.sources import read_recording, read_trace_csv, write_trace_csv
 
 TRACE, STATION = drive_over(s_turn)
 ARRAYS = [f.name for f in fields(Trace) if f.name not in {"gnss", "quality", "stability_active"}]

@@ -17,17 +17,12 @@ from roadgrip.units import mps_to_kph
 from vehicle_client.estimation.vehicle_geometry import XC90, VehicleGeometry
 from vehicle_client.mapmatch.dead_reckoning import DrivenLine, driven_line
 from vehicle_client.pipeline import Summarised, summarise_passage
+from vehicle_client.recording.foreign import Recording
+from vehicle_client.recording.public import COMMA2K19_RAV4, FERRARI_250LM, IAC_AV21
 from vehicle_client.shell.conversation import SpedUpClock, arrive, report
 from vehicle_client.shell.exchange import Ending, Exchange, ExchangeRecord, Stage
 from vehicle_client.shell.fleet_events import flag_names
-from vehicle_client.shell.sources import (
-    COMMA2K19_RAV4,
-    FERRARI_250LM,
-    IAC_AV21,
-    Recording,
-    read_recording,
-    read_trace_csv,
-)
+from vehicle_client.shell.sources import read_recording, read_trace_csv
 from vehicle_client.shell.uplink import uplink_to
 from vehicle_client.shell.views import advice_text
 
@@ -44,7 +39,7 @@ class RecordingFormat(StrEnum):
     """Whose recording it is."""
 
     ROADGRIP = "roadgrip"
-    """Our own CSV, see `vehicle_client.shell.sources`."""
+    """Our own CSV, see `vehicle_client.recording.channels`."""
     FERRARI_250LM = "ferrari-250lm"
     """Stanford's Revs programme: a Ferrari 250 LM."""
     IAC_AV21 = "iac-av21"

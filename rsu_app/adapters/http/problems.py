@@ -50,6 +50,7 @@ STATUS_OF_REASON: dict[Reason, HTTPStatus] = {
     Reason.TOO_SLOW: HTTPStatus.UNPROCESSABLE_ENTITY,
     Reason.WRONG_ROAD: HTTPStatus.UNPROCESSABLE_ENTITY,
     Reason.PASSAGE_ABORTED: HTTPStatus.UNPROCESSABLE_ENTITY,
+    Reason.SENSOR_FAULT: HTTPStatus.UNPROCESSABLE_ENTITY,
 }
 """Every reason code has its status; a test asserts it."""
 

@@ -1,0 +1,123 @@
+"""From sensors to everything the client estimates: the virtual sensor as one function."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from roadgrip.units import GRAVITY_MPS2
+from vehicle_client.estimation.filters import smoothed
+from vehicle_client.estimation.mounting import InertialSignals, at_centre_of_gravity, levelled
+from vehicle_client.estimation.observer import (
+    ObserverParameters,
+    observed_velocity_mps,
+    sideslip_rad,
+    sideslip_rate_radps,
+    straightness_1ps,
+)
+from vehicle_client.estimation.roll import chassis_roll_rad, road_accel_y_mps2
+from vehicle_client.estimation.summary import KinematicSignals
+from vehicle_client.estimation.wheel_speed import encoder_speed_mps
+from vehicle_client.estimation.yaw_rate import yaw_rate_excess_radps
+
+if TYPE_CHECKING:
+    from roadgrip.section import RoadSection
+    from roadgrip.units import FloatArray
+    from vehicle_client.estimation.offsets import SensorOffsets
+    from vehicle_client.estimation.trace import Trace
+    from vehicle_client.estimation.vehicle_geometry import VehicleGeometry
+
+
+def kinematic_signals(
+    trace: Trace,
+    section: RoadSection,
+    *,
+    station_m: FloatArray,
+    vehicle: VehicleGeometry,
+    parameters: ObserverParameters,
+    offsets: SensorOffsets,
+) -> KinematicSignals:
+    """Return everything the client estimates, at every sample.
+
+    Args:
+        trace: Without gaps (bridged), more than 30 samples.
+        section: The map, for bank and grade; beyond its ends they are held.
+        station_m: Position along the section. (n,)
+        vehicle: The own car.
+        parameters: Constants of the estimation.
+        offsets: To subtract from the sensors.
+    """
+    measured = _inertial(trace, vehicle, offsets)
+    yaw_rate = measured.yaw_rate_radps
+    accel_y = smoothed(measured.accel_y_mps2)
+    steer = smoothed(trace.steer_rad - offsets.steer_rad)
+    profile = section.profile
+    bank = np.arctan(np.interp(station_m, profile.station_m, profile.cross_slope_ratio))
+    climb = np.arctan(np.interp(station_m, profile.station_m, profile.grade_ratio))
+    accel_x = smoothed(measured.accel_x_mps2) - GRAVITY_MPS2 * np.sin(climb)
+
+    def speed_given(velocity_y_mps: FloatArray) -> FloatArray:
+        return encoder_speed_mps(
+            trace.wheel_speed_mps, yaw_rate, steer, accel_x, velocity_y_mps, vehicle=vehicle, parameters=parameters
+        )
+
+    speed = speed_given(np.zeros_like(yaw_rate))
+    roll = chassis_roll_rad(
+        accel_y,
+        yaw_rate,
+        speed,
+        measured.roll_rate_radps,
+        bank,
+        crossover_hz=parameters.roll_crossover_hz,
+    )
+    road_accel_y = road_accel_y_mps2(accel_y, chassis_roll_rad=roll, bank_rad=bank)
+    rate = sideslip_rate_radps(road_accel_y, yaw_rate, speed)
+    straight = straightness_1ps(yaw_rate, steer, rate, parameters=parameters)
+
+    def velocity_given(speed_mps: FloatArray) -> tuple[FloatArray, FloatArray]:
+        x, y = observed_velocity_mps(accel_x, road_accel_y, yaw_rate, speed_mps, straight, parameters=parameters)
+        return smoothed(x), smoothed(y)
+
+    _, velocity_y = velocity_given(speed)
+    # The front wheels roll partly sideways: once the lateral velocity is known, the encoders tell a better speed.
+    speed = speed_given(velocity_y)
+    velocity_x, velocity_y = velocity_given(speed)
+    return KinematicSignals(
+        steer_rad=steer,
+        sideslip_rad=sideslip_rad(velocity_x, velocity_y),
+        sideslip_rate_radps=sideslip_rate_radps(road_accel_y, yaw_rate, speed),
+        yaw_rate_excess_radps=yaw_rate_excess_radps(
+            yaw_rate, speed, steer, wheelbase_m=vehicle.wheelbase_m, track_m=vehicle.track_m
+        ),
+        speed_mps=np.maximum(speed, 0.0),
+        velocity_x_mps=velocity_x,
+        velocity_y_mps=velocity_y,
+        yaw_rate_radps=yaw_rate,
+        chassis_roll_rad=roll,
+        straightness_1ps=straight,
+    )
+
+
+def in_car_axes(trace: Trace, vehicle: VehicleGeometry) -> InertialSignals:
+    """Return what the inertial unit sensed, turned into the car's axes, offsets still in it."""
+    return levelled(
+        InertialSignals(
+            accel_x_mps2=trace.accel_x_mps2,
+            accel_y_mps2=trace.accel_y_mps2,
+            roll_rate_radps=trace.roll_rate_radps,
+            yaw_rate_radps=trace.yaw_rate_radps,
+        ),
+        vehicle,
+    )
+
+
+def _inertial(trace: Trace, vehicle: VehicleGeometry, offsets: SensorOffsets) -> InertialSignals:
+    signals = in_car_axes(trace, vehicle)
+    signals = replace(
+        signals,
+        accel_y_mps2=signals.accel_y_mps2 - offsets.accel_y_mps2,
+        yaw_rate_radps=signals.yaw_rate_radps - offsets.yaw_rate_radps,
+    )
+    return at_centre_of_gravity(signals, vehicle)

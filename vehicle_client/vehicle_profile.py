@@ -1,0 +1,100 @@
+"""What a vehicle knows of itself, as one record and as a file that an integrator writes once per model of car.
+
+name = "Volvo XC90 2015"
+
+[geometry]            # `VehicleGeometry`: wheelbase, track and front axle must be said, the rest is zero if not
+wheelbase_m = 2.984
+track_m = 1.670
+front_axle_m = 1.43
+
+[observer]            # `ObserverParameters`: the paper's constants where nothing is said
+roll_crossover_hz = 0.1
+"""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from dataclasses import MISSING, dataclass, fields
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from roadgrip.errors import ConfigurationError
+from vehicle_client.estimation.observer import PAPER_PARAMETERS, ObserverParameters
+from vehicle_client.estimation.vehicle_geometry import XC90, VehicleGeometry
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+_Record = TypeVar("_Record", VehicleGeometry, ObserverParameters)
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleProfile:
+    """A model of car, as the onboard client needs to know it.
+
+    Attributes:
+        name: What people call it.
+        geometry: Where wheels and sensors sit.
+        parameters: Constants of the estimation, which belong to a vehicle.
+    """
+
+    name: str
+    geometry: VehicleGeometry
+    parameters: ObserverParameters = PAPER_PARAMETERS
+
+
+PAPER_VEHICLE = VehicleProfile(name="Volvo XC90 2015", geometry=XC90)
+"""The car of the paper, with the paper's constants."""
+
+
+def profile_of_toml(text: str, *, place: str) -> VehicleProfile:
+    """Return the vehicle that a file describes.
+
+    Args:
+        text: What the file holds.
+        place: What the file is called, for messages.
+
+    Raises:
+        ConfigurationError: It is no TOML, a key is unknown or missing, or a value is no finite number, or a length
+            that cannot be.
+    """
+    try:
+        table = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigurationError(f"{place} is no TOML: {error}") from error
+    unknown = sorted(set(table) - {"name", "geometry", "observer"})
+    if unknown:
+        raise ConfigurationError(f"{place}: unknown {', '.join(unknown)}; a vehicle has name, [geometry], [observer]")
+    profile = VehicleProfile(
+        name=str(table.get("name", place)),
+        geometry=_record_of(VehicleGeometry, table.get("geometry", {}), place=f"{place} [geometry]"),
+        parameters=_record_of(ObserverParameters, table.get("observer", {}), place=f"{place} [observer]"),
+    )
+    geometry = profile.geometry
+    if not (0.0 < geometry.front_axle_m < geometry.wheelbase_m and geometry.track_m > 0.0):
+        raise ConfigurationError(f"{place}: the front axle must lie within the wheelbase, and the track be positive")
+    return profile
+
+
+def toml_of_profile(profile: VehicleProfile) -> str:
+    """Return the file that `profile_of_toml` reads back as the same vehicle."""
+    name = profile.name.replace("\\", "\\\\").replace('"', '\\"')
+    lines = [f'name = "{name}"']
+    for title, record in (("geometry", profile.geometry), ("observer", profile.parameters)):
+        lines += ["", f"[{title}]"]
+        lines += [f"{field.name} = {float(getattr(record, field.name))!r}" for field in fields(record)]
+    return "\n".join(lines) + "\n"
+
+
+def _record_of(kind: type[_Record], table: Mapping[str, Any], *, place: str) -> _Record:
+    names = {field.name for field in fields(kind)}
+    unknown = sorted(set(table) - names)
+    if unknown:
+        raise ConfigurationError(f"{place}: unknown {', '.join(unknown)}; it may hold {', '.join(sorted(names))}")
+    missing = sorted(field.name for field in fields(kind) if field.default is MISSING and field.name not in table)
+    if missing:
+        raise ConfigurationError(f"{place}: {', '.join(missing)} must be said")
+    for name, value in table.items():
+        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+            raise ConfigurationError(f"{place}: {name} is {value!r}, not a finite number")
+    return kind(**{name: float(value) for name, value in table.items()})
