@@ -26,7 +26,7 @@ PLACES := roadgrip rsu_app vehicle_client training migrations tests bench deploy
 CODE := $(foreach place,$(PLACES),$(if $(shell find $(place) -name '*.py' -print -quit 2>/dev/null),$(place)))
 
 .PHONY: help setup demo real-input test test-long test-fast coverage check format-check format lint types contracts bench lock \
-        simulator-validation simulator-speed \
+        simulator-validation simulator-speed onboard-accuracy \
         bundle paper-design wheel hooks clean
 
 help: ## List the chores
@@ -97,6 +97,9 @@ bench: $(STAMP) ## Run the benchmarks; each prints a table and writes JSON
 simulator-validation: $(STAMP) ## Remake docs/simulator-validation.md: pictures, figures, tables (ARGS="tyre limits": some chapters)
 	@$(BIN)/python -m bench.simulator_validation $(ARGS)
 
+onboard-accuracy: $(STAMP) ## Remake docs/onboard-accuracy.md: what the onboard client is worth (ARGS="sideslip": some chapters)
+	@$(BIN)/python -m bench.onboard_accuracy $(ARGS)
+
 simulator-speed: $(STAMP) ## Measure the simulator beside the CommonRoad multi-body model; writes docs/results/simulator/speed.json
 	@$(BIN)/python -m bench.simulator_speed $(ARGS)
 
@@ -106,8 +109,8 @@ COMPILE = $(BIN)/uv pip compile --quiet --universal --python-version 3.11 --gene
           --custom-compile-command "make lock" $(if $(UPGRADE),--upgrade)
 lock: $(STAMP) ## Remake the hashed locks, one per role (UPGRADE=1 takes newer versions)
 	@echo uv | $(COMPILE) --no-annotate -o requirements/bootstrap.txt -
-	@$(COMPILE) pyproject.toml --extra demo --extra training --group dev -c requirements/bootstrap.txt -o requirements/dev.txt
-	@for role in rsu vehicle training; do \
+	@$(COMPILE) pyproject.toml --extra demo --extra training --extra vehicle-files --group dev -c requirements/bootstrap.txt -o requirements/dev.txt
+	@for role in rsu vehicle vehicle-files training; do \
 	  $(COMPILE) pyproject.toml --extra $$role -c requirements/dev.txt -o requirements/$$role.txt; done
 	@for lock in requirements/*.txt; do \
 	  grep -q '^# Made by' $$lock || sed -i '1i # Made by `make lock` for Python 3.11 and later, x86-64 and aarch64; not edited by hand.' $$lock; done

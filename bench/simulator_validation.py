@@ -16,6 +16,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from bench.marked_tables import rounded
 from bench.validation import body, limits, oracle, roughness, time_step, tyre, whole_drive
 from bench.validation.tables import page_with_tables
 from vehicle_client.simulator.run import compiled_cache_key, warm_up
@@ -32,17 +33,6 @@ CHAPTERS: dict[str, Callable[[Path], dict[str, Any]]] = {
     "oracle": lambda folder: oracle.draw(folder, said=lambda what: print(f"    {what}", flush=True)),
     "whole_drive": whole_drive.draw,
 }
-
-
-def rounded(value: Any) -> Any:
-    """Return figures with four digits, whatever holds them."""
-    if isinstance(value, dict):
-        return {key: rounded(inner) for key, inner in value.items()}
-    if isinstance(value, list | tuple):
-        return [rounded(inner) for inner in value]
-    if isinstance(value, float):
-        return float(f"{value:.4g}")
-    return value
 
 
 def main() -> None:

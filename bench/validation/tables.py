@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from bench.marked_tables import percent as _percent
+from bench.marked_tables import table as _table
+from bench.marked_tables import with_tables
 from bench.simulator_oracle import OracleCar, Variant
 from bench.validation import bounds
 
 Figures = Mapping[str, Any]
-_MARKED = re.compile(r"(<!-- table: ([a-z_]+) -->\n)(.*?)(<!-- end of table -->)", re.DOTALL)
 
 
 def page_with_tables(page: str, figures: Figures) -> str:
@@ -35,16 +36,7 @@ def page_with_tables(page: str, figures: Figures) -> str:
         "oracle_steps": _oracle_steps,
         "oracle_others": _oracle_others,
     }
-    return _MARKED.sub(lambda found: f"{found[1]}\n{makers[found[2]](figures)}\n{found[4]}", page)
-
-
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    lines = [f"| {' | '.join(head)} |", f"|{'---|' * len(head)}"]
-    return "\n".join(lines + [f"| {' | '.join(row)} |" for row in rows]) + "\n"
-
-
-def _percent(ratio: float, *, digits: int = 1) -> str:
-    return f"{100.0 * ratio:.{digits}f} %"
+    return with_tables(page, lambda name: makers[name](figures))
 
 
 def _tyre(figures: Figures) -> str:
