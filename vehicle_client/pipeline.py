@@ -121,8 +121,8 @@ def _rough_speed_mps(trace: Trace, *, vehicle: VehicleGeometry, parameters: Obse
     return encoder_speed_mps(
         trace.wheel_speed_mps,
         trace.yaw_rate_radps,
-        smoothed(trace.steer_rad),
-        smoothed(trace.accel_x_mps2),
+        smoothed(trace.steer_rad, parameters.lowpass),
+        smoothed(trace.accel_x_mps2, parameters.lowpass),
         np.zeros_like(trace.yaw_rate_radps),
         vehicle=vehicle,
         parameters=parameters,

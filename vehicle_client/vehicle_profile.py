@@ -9,6 +9,7 @@ front_axle_m = 1.43
 
 [observer]            # `ObserverParameters`: the paper's constants where nothing is said
 roll_crossover_hz = 0.1
+lowpass = "hamming_fir"  # or "butterworth"
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from dataclasses import MISSING, dataclass, fields
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from roadgrip.errors import ConfigurationError
+from vehicle_client.estimation.filters import LowPass
 from vehicle_client.estimation.observer import PAPER_PARAMETERS, ObserverParameters
 from vehicle_client.estimation.vehicle_geometry import XC90, VehicleGeometry
 
@@ -55,8 +57,8 @@ def profile_of_toml(text: str, *, place: str) -> VehicleProfile:
         place: What the file is called, for messages.
 
     Raises:
-        ConfigurationError: It is no TOML, a key is unknown or missing, or a value is no finite number, or a length
-            that cannot be.
+        ConfigurationError: It is no TOML, a key is unknown or missing, a value is no finite number or no known
+            filter, or a length cannot be.
     """
     try:
         table = tomllib.loads(text)
@@ -82,7 +84,7 @@ def toml_of_profile(profile: VehicleProfile) -> str:
     lines = [f'name = "{name}"']
     for title, record in (("geometry", profile.geometry), ("observer", profile.parameters)):
         lines += ["", f"[{title}]"]
-        lines += [f"{field.name} = {float(getattr(record, field.name))!r}" for field in fields(record)]
+        lines += [f"{field.name} = {_written(getattr(record, field.name))}" for field in fields(record)]
     return "\n".join(lines) + "\n"
 
 
@@ -94,7 +96,18 @@ def _record_of(kind: type[_Record], table: Mapping[str, Any], *, place: str) -> 
     missing = sorted(field.name for field in fields(kind) if field.default is MISSING and field.name not in table)
     if missing:
         raise ConfigurationError(f"{place}: {', '.join(missing)} must be said")
-    for name, value in table.items():
-        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-            raise ConfigurationError(f"{place}: {name} is {value!r}, not a finite number")
-    return kind(**{name: float(value) for name, value in table.items()})
+    return kind(**{name: _read(name, value, place=place) for name, value in table.items()})
+
+
+def _read(name: str, value: object, *, place: str) -> Any:
+    if name == "lowpass":
+        if not isinstance(value, str) or value not in set(LowPass):
+            raise ConfigurationError(f"{place}: {name} is {value!r}, not one of {', '.join(LowPass)}")
+        return LowPass(value)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise ConfigurationError(f"{place}: {name} is {value!r}, not a finite number")
+    return float(value)
+
+
+def _written(value: float | LowPass) -> str:
+    return f'"{value}"' if isinstance(value, LowPass) else repr(float(value))

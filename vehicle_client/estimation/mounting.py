@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from roadgrip.units import GRAVITY_MPS2
-from vehicle_client.estimation.filters import rate_of_change, smoothed
+from vehicle_client.estimation.filters import LowPass, rate_of_change, smoothed
 
 if TYPE_CHECKING:
     from roadgrip.units import FloatArray
@@ -51,7 +51,9 @@ def levelled(signals: InertialSignals, vehicle: VehicleGeometry) -> InertialSign
     )
 
 
-def at_centre_of_gravity(signals: InertialSignals, vehicle: VehicleGeometry) -> InertialSignals:
+def at_centre_of_gravity(
+    signals: InertialSignals, vehicle: VehicleGeometry, *, lowpass: LowPass = LowPass.HAMMING_FIR
+) -> InertialSignals:
     """Return the signals an accelerometer at the centre of gravity would read, for planar motion.
 
     References:
@@ -60,7 +62,7 @@ def at_centre_of_gravity(signals: InertialSignals, vehicle: VehicleGeometry) -> 
     x, y = vehicle.imu_x_m, vehicle.imu_y_m
     if x == y == 0.0:
         return signals
-    w = smoothed(signals.yaw_rate_radps)
+    w = smoothed(signals.yaw_rate_radps, lowpass)
     dw = rate_of_change(w)
     return InertialSignals(
         accel_x_mps2=signals.accel_x_mps2 + dw * y + w**2 * x,

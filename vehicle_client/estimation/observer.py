@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from roadgrip.units import SAMPLE_S
-from vehicle_client.estimation.filters import rate_of_change, smoothed
+from vehicle_client.estimation.filters import LowPass, rate_of_change, smoothed
 
 if TYPE_CHECKING:
     from roadgrip.units import FloatArray
@@ -37,6 +37,7 @@ class ObserverParameters:
         roll_crossover_hz: Where slow roll from the accelerometer meets fast roll from the gyro. The paper gives no
             number; of those between 0.01 and 10 Hz this one left the least sideslip error on simulated drives with
             automotive sensors.
+        lowpass: Which reading of the paper's smoothing filter.
     """
 
     alpha_0_1ps: float = 15.0
@@ -52,24 +53,32 @@ class ObserverParameters:
     sigma_sideslip_rate_radps: float = 0.05
     sigma_sideslip_accel_radps2: float = 0.3
     roll_crossover_hz: float = 0.1
+    lowpass: LowPass = LowPass.HAMMING_FIR
 
 
 PAPER_PARAMETERS = ObserverParameters()
 
 
-def sideslip_rate_radps(accel_y_mps2: FloatArray, yaw_rate_radps: FloatArray, speed_mps: FloatArray) -> FloatArray:
+def sideslip_rate_radps(
+    accel_y_mps2: FloatArray,
+    yaw_rate_radps: FloatArray,
+    speed_mps: FloatArray,
+    *,
+    lowpass: LowPass = LowPass.HAMMING_FIR,
+) -> FloatArray:
     """Return the sideslip rate as the paper estimates it, smoothed. (n,)
 
     Args:
         accel_y_mps2: Lateral acceleration in the road's plane, gravity taken out. (n,)
         yaw_rate_radps: Left turn positive. (n,)
         speed_mps: From the encoders; below 1 m/s it is taken as 1 m/s. (n,)
+        lowpass: What smooths it.
 
     References:
         Langstrand and Rabi, equation of the sideslip rate: (A_y - omega_z V_x) / V_x.
     """
     v = np.maximum(speed_mps, SPEED_FLOOR_MPS)
-    return smoothed((accel_y_mps2 - yaw_rate_radps * v) / v)
+    return smoothed((accel_y_mps2 - yaw_rate_radps * v) / v, lowpass)
 
 
 def straightness_1ps(
@@ -85,14 +94,14 @@ def straightness_1ps(
         yaw_rate_radps: Left turn positive. (n,)
         steer_rad: Mean angle of the front wheels, smoothed. (n,)
         sideslip_rate_radps: Smoothed. (n,)
-        parameters: The six widths.
+        parameters: The six widths, and what smooths the yaw rate.
 
     References:
         The paper gives only the widths. That F is the product of Gaussians of peak 1 in SI units is our
         reconstruction; on recorded cars it is best or near best among the readings that were tried.
     """
     p = parameters
-    yaw_rate = smoothed(yaw_rate_radps)
+    yaw_rate = smoothed(yaw_rate_radps, p.lowpass)
     exponent = (yaw_rate / p.sigma_yaw_rate_radps) ** 2
     exponent += (rate_of_change(yaw_rate) / p.sigma_yaw_accel_radps2) ** 2
     exponent += (steer_rad / p.sigma_steer_rad) ** 2

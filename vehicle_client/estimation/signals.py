@@ -49,14 +49,15 @@ def kinematic_signals(
         parameters: Constants of the estimation.
         offsets: To subtract from the sensors.
     """
-    measured = _inertial(trace, vehicle, offsets)
+    measured = _inertial(trace, vehicle, offsets, parameters)
+    lowpass = parameters.lowpass
     yaw_rate = measured.yaw_rate_radps
-    accel_y = smoothed(measured.accel_y_mps2)
-    steer = smoothed(trace.steer_rad - offsets.steer_rad)
+    accel_y = smoothed(measured.accel_y_mps2, lowpass)
+    steer = smoothed(trace.steer_rad - offsets.steer_rad, lowpass)
     profile = section.profile
     bank = np.arctan(np.interp(station_m, profile.station_m, profile.cross_slope_ratio))
     climb = np.arctan(np.interp(station_m, profile.station_m, profile.grade_ratio))
-    accel_x = smoothed(measured.accel_x_mps2) - GRAVITY_MPS2 * np.sin(climb)
+    accel_x = smoothed(measured.accel_x_mps2, lowpass) - GRAVITY_MPS2 * np.sin(climb)
 
     def speed_given(velocity_y_mps: FloatArray) -> FloatArray:
         return encoder_speed_mps(
@@ -73,12 +74,12 @@ def kinematic_signals(
         crossover_hz=parameters.roll_crossover_hz,
     )
     road_accel_y = road_accel_y_mps2(accel_y, chassis_roll_rad=roll, bank_rad=bank)
-    rate = sideslip_rate_radps(road_accel_y, yaw_rate, speed)
+    rate = sideslip_rate_radps(road_accel_y, yaw_rate, speed, lowpass=lowpass)
     straight = straightness_1ps(yaw_rate, steer, rate, parameters=parameters)
 
     def velocity_given(speed_mps: FloatArray) -> tuple[FloatArray, FloatArray]:
         x, y = observed_velocity_mps(accel_x, road_accel_y, yaw_rate, speed_mps, straight, parameters=parameters)
-        return smoothed(x), smoothed(y)
+        return smoothed(x, lowpass), smoothed(y, lowpass)
 
     _, velocity_y = velocity_given(speed)
     # The front wheels roll partly sideways: once the lateral velocity is known, the encoders tell a better speed.
@@ -87,7 +88,7 @@ def kinematic_signals(
     return KinematicSignals(
         steer_rad=steer,
         sideslip_rad=sideslip_rad(velocity_x, velocity_y),
-        sideslip_rate_radps=sideslip_rate_radps(road_accel_y, yaw_rate, speed),
+        sideslip_rate_radps=sideslip_rate_radps(road_accel_y, yaw_rate, speed, lowpass=lowpass),
         yaw_rate_excess_radps=yaw_rate_excess_radps(
             yaw_rate, speed, steer, wheelbase_m=vehicle.wheelbase_m, track_m=vehicle.track_m
         ),
@@ -113,11 +114,13 @@ def in_car_axes(trace: Trace, vehicle: VehicleGeometry) -> InertialSignals:
     )
 
 
-def _inertial(trace: Trace, vehicle: VehicleGeometry, offsets: SensorOffsets) -> InertialSignals:
+def _inertial(
+    trace: Trace, vehicle: VehicleGeometry, offsets: SensorOffsets, parameters: ObserverParameters
+) -> InertialSignals:
     signals = in_car_axes(trace, vehicle)
     signals = replace(
         signals,
         accel_y_mps2=signals.accel_y_mps2 - offsets.accel_y_mps2,
         yaw_rate_radps=signals.yaw_rate_radps - offsets.yaw_rate_radps,
     )
-    return at_centre_of_gravity(signals, vehicle)
+    return at_centre_of_gravity(signals, vehicle, lowpass=parameters.lowpass)

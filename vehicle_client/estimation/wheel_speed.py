@@ -76,7 +76,7 @@ def encoder_speed_mps(
         accel_x_mps2: Forward acceleration without gravity. (n,)
         velocity_y_mps: Lateral velocity; zeros are a good first guess. (n,)
         vehicle: Where the wheels sit.
-        parameters: The threshold and the two widths of the weights.
+        parameters: The threshold and the two widths of the weights, and what smooths.
 
     References:
         Langstrand and Rabi, table of observer parameters (threshold 1, widths 4.5 and 1); the weight
@@ -88,11 +88,11 @@ def encoder_speed_mps(
     mismatch = np.empty_like(speeds)
     for i in range(4):
         # Encoders count in steps: unsmoothed, the derivative is mostly the step.
-        mismatch[:, i] = rate_of_change(smoothed(speeds[:, i]))
+        mismatch[:, i] = rate_of_change(smoothed(speeds[:, i], parameters.lowpass))
     mismatch = (mismatch - accel_x_mps2[:, None]) / sigma[:, None]
     weights = np.maximum(np.exp(-0.5 * mismatch**2), WEIGHT_FLOOR)
     ordered = np.sort(speeds, axis=1)
     median = (ordered[:, 1:2] + ordered[:, 2:3]) / 2.0
     stray = np.abs(speeds - median) > _STRAY_MPS + _STRAY_FRAC * np.abs(median)
     weights[stray] = WEIGHT_FLOOR**2
-    return smoothed(np.sum(weights * speeds, axis=1) / np.sum(weights, axis=1))
+    return smoothed(np.sum(weights * speeds, axis=1) / np.sum(weights, axis=1), parameters.lowpass)

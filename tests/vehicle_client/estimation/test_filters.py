@@ -9,6 +9,7 @@ from scipy import signal
 from tests.vehicle_client.synthetic import clock_s
 from vehicle_client.estimation.filters import (
     EDGE_SAMPLES_COUNT,
+    LowPass,
     integral,
     lowpass_taps,
     rate_of_change,
@@ -17,6 +18,7 @@ from vehicle_client.estimation.filters import (
 )
 
 seeds = st.integers(0, 2**32 - 1)
+lowpasses = st.sampled_from(LowPass)
 
 
 def test_the_taps_are_those_of_a_hamming_windowed_sinc():
@@ -29,41 +31,74 @@ def test_smoothing_is_the_filter_run_forward_and_backward():
     assert np.allclose(smoothed(noise), reference, atol=1e-12)
 
 
-@given(value=st.floats(-1e6, 1e6), count=st.integers(EDGE_SAMPLES_COUNT + 1, 300))
-def test_a_constant_stays_constant_up_to_its_ends(value, count):
-    assert np.allclose(smoothed(np.full(count, value)), value, rtol=1e-12, atol=1e-9)
+@pytest.mark.parametrize("samples_count", [200, 3000])
+def test_the_butterworth_reading_is_the_filter_run_forward_and_backward(samples_count):
+    noise = np.random.default_rng(1).normal(size=samples_count).cumsum()
+    sections = signal.butter(30, 10.0, fs=100.0, output="sos")
+    reference = signal.sosfiltfilt(sections, np.pad(noise, 2000, mode="reflect", reflect_type="odd"), padlen=0)
+    assert np.allclose(smoothed(noise, LowPass.BUTTERWORTH), reference[2000:-2000], atol=1e-8)
 
 
-@given(level=st.floats(-100, 100), slope=st.floats(-1, 1))
-def test_a_straight_line_stays_straight_up_to_its_ends(level, slope):
+@given(value=st.floats(-1e6, 1e6), count=st.integers(EDGE_SAMPLES_COUNT + 1, 300), lowpass=lowpasses)
+def test_a_constant_stays_constant_up_to_its_ends(value, count, lowpass):
+    assert np.allclose(smoothed(np.full(count, value), lowpass), value, rtol=1e-12, atol=1e-9)
+
+
+@given(level=st.floats(-100, 100), slope=st.floats(-1, 1), lowpass=lowpasses)
+def test_a_straight_line_stays_straight_up_to_its_ends(level, slope, lowpass):
     line = level + slope * np.arange(200.0)
-    assert np.allclose(smoothed(line), line, atol=1e-9)
+    assert np.allclose(smoothed(line, lowpass), line, atol=1e-8)
 
 
-@given(seed=seeds)
-def test_smoothing_knows_no_direction_of_time(seed):
+@given(seed=seeds, lowpass=lowpasses)
+def test_smoothing_knows_no_direction_of_time(seed, lowpass):
     noise = np.random.default_rng(seed).normal(size=120)
-    assert np.allclose(smoothed(noise[::-1]), smoothed(noise)[::-1], atol=1e-12)
+    assert np.allclose(smoothed(noise[::-1], lowpass), smoothed(noise, lowpass)[::-1], atol=1e-11)
 
 
-@given(seed=seeds)
-def test_smoothing_is_linear_and_keeps_the_mirror(seed):
+@given(seed=seeds, lowpass=lowpasses)
+def test_smoothing_is_linear_and_keeps_the_mirror(seed, lowpass):
     a, b = np.random.default_rng(seed).normal(size=(2, 100))
-    assert np.allclose(smoothed(2.0 * a - 3.0 * b), 2.0 * smoothed(a) - 3.0 * smoothed(b), atol=1e-12)
-    assert np.array_equal(smoothed(-a), -smoothed(a))
+    both = 2.0 * smoothed(a, lowpass) - 3.0 * smoothed(b, lowpass)
+    assert np.allclose(smoothed(2.0 * a - 3.0 * b, lowpass), both, atol=1e-11)
+    assert np.array_equal(smoothed(-a, lowpass), -smoothed(a, lowpass))
 
 
-@pytest.mark.parametrize(("frequency_hz", "gain"), [(1.0, 1.0), (10.0, 0.25), (20.0, 0.0)])
-def test_slow_motion_passes_and_shaking_does_not(frequency_hz, gain):
-    wave = np.sin(2.0 * np.pi * frequency_hz * np.arange(1000) / 100.0)
-    inside = slice(100, -100)
-    measured = smoothed(wave)[inside] @ wave[inside] / (wave[inside] @ wave[inside])
+@pytest.mark.parametrize(
+    ("lowpass", "frequency_hz", "gain"),
+    [
+        (LowPass.HAMMING_FIR, 1.0, 1.0),
+        (LowPass.HAMMING_FIR, 10.0, 0.25),
+        (LowPass.HAMMING_FIR, 20.0, 0.0),
+        (LowPass.BUTTERWORTH, 9.0, 1.0),
+        (LowPass.BUTTERWORTH, 10.0, 0.5),
+        (LowPass.BUTTERWORTH, 11.0, 0.0),
+        (LowPass.BUTTERWORTH, 50.0, 0.0),
+    ],
+)
+def test_slow_motion_passes_and_shaking_does_not(lowpass, frequency_hz, gain):
+    wave = np.cos(2.0 * np.pi * frequency_hz * np.arange(3000) / 100.0)
+    inside = slice(1000, -1000)
+    measured = smoothed(wave, lowpass)[inside] @ wave[inside] / (wave[inside] @ wave[inside])
     assert measured == pytest.approx(gain, abs=0.01)
 
 
-def test_too_few_samples_are_refused():
+def test_one_nan_spreads_thirty_samples_either_way():
+    holed = np.zeros(200)
+    holed[100] = np.nan
+    assert np.flatnonzero(np.isnan(smoothed(holed))).tolist() == list(range(70, 131))
+
+
+def test_one_nan_spreads_everywhere_with_the_butterworth_filter():
+    holed = np.zeros(200)
+    holed[100] = np.nan
+    assert np.isnan(smoothed(holed, LowPass.BUTTERWORTH)).all()
+
+
+@pytest.mark.parametrize("lowpass", LowPass)
+def test_too_few_samples_are_refused(lowpass):
     with pytest.raises(ValueError, match="too few"):
-        smoothed(np.zeros(EDGE_SAMPLES_COUNT))
+        smoothed(np.zeros(EDGE_SAMPLES_COUNT), lowpass)
 
 
 @given(value=st.floats(-100, 100), count=st.integers(1, 200), crossover_hz=st.floats(0.01, 10.0))
