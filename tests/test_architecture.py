@@ -309,7 +309,7 @@ def test_every_line_of_a_lock_is_pinned_and_hashed():
         assert not loose, lock.name
 
 
-@pytest.mark.parametrize("role", ["rsu", "vehicle", "training"])
+@pytest.mark.parametrize("role", ["rsu", "vehicle", "vehicle-files", "training"])
 def test_a_role_installs_what_the_tests_ran_with(role):
     def pins(name: str) -> set[str]:
         lock = (ROOT / "requirements" / f"{name}.txt").read_text(encoding="utf-8")

@@ -19,6 +19,13 @@ ROLES = {
     "rsu": (("roadgrip", "rsu_app"), {"scipy", "numba", "xgboost", "sklearn", "onnx", "mlflow", "matplotlib"}),
     "vehicle": (
         ("roadgrip", *VEHICLE_PURE, "vehicle_client.shell"),
+        {
+            *("scipy", "numba", "fastapi", "sqlalchemy", "onnxruntime", "mlflow", "matplotlib"),
+            *("asammdf", "pandas", "pyarrow"),
+        },
+    ),
+    "vehicle-files": (
+        ("roadgrip", *VEHICLE_PURE, "vehicle_client.shell"),
         {"scipy", "numba", "fastapi", "sqlalchemy", "onnxruntime", "mlflow", "matplotlib"},
     ),
     "training": (
@@ -31,6 +38,8 @@ EXTRAS = {
     "sim": (("roadgrip", *VEHICLE_PURE, "vehicle_client.simulator"), {"fastapi", "sqlalchemy", "xgboost", "typer"}),
     "demo": (("roadgrip", "rsu_app", "vehicle_client"), {"xgboost", "sklearn", "pyarrow"}),
 }
+
+VEHICLE_LIMIT_MB = 150.0
 
 IMPORT_ALL = """
 import importlib, importlib.util, json, pkgutil, sys
@@ -65,6 +74,12 @@ def assert_imports_alone(environment, packages, absent, *, cwd: Path) -> None:
 def test_a_role_imports_alone_from_its_lock(locked_environment, tmp_path, role):
     packages, absent = ROLES[role]
     assert_imports_alone(locked_environment(role), packages, absent, cwd=tmp_path)
+
+
+def test_what_a_car_installs_is_small(locked_environment):
+    folder = locked_environment("vehicle").folder
+    size_mb = sum(path.lstat().st_size for path in folder.rglob("*")) / 1e6
+    assert size_mb < VEHICLE_LIMIT_MB
 
 
 def requirements_of(project: dict[str, Any], extra: str) -> set[Requirement]:
