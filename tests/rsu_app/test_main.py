@@ -1,11 +1,14 @@
 import json
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
 
-import rsu_app.__main__ as program
+import rsu_app.__main__ as door
+import rsu_app.cli as program
 from tests.bundles import make_bundle
 
 
@@ -27,7 +30,7 @@ def refused(monkeypatch, capsys, *arguments: str) -> str:
     """Run the program as a shell would; return its one line of complaint."""
     monkeypatch.setattr("sys.argv", ["roadgrip-rsu", *arguments])
     with pytest.raises(SystemExit) as left:
-        program.main()
+        door.main()
     assert left.value.code == 2
     complaint: str = capsys.readouterr().err
     assert complaint.count("\n") == 1
@@ -119,3 +122,12 @@ def test_settings_are_shown_in_words_of_their_table(config):
     shown = said("config", "show", "--config", str(config))
     assert "16.6667" in shown
     assert "None" not in shown
+
+
+@pytest.mark.parametrize(("absent", "code", "needle"), [("typer", 2, "roadgrip[rsu]"), ("", 0, "roadgrip 0")])
+def test_without_its_libraries_the_command_says_what_to_install(absent, code, needle):
+    program = f"import sys; sys.modules.update(dict.fromkeys({absent.split()})); import rsu_app.__main__ as m; m.main()"
+    done = subprocess.run([sys.executable, "-c", program, "--version"], capture_output=True, text=True, check=False)
+    assert done.returncode == code
+    assert needle in done.stdout + done.stderr
+    assert "Traceback" not in done.stderr

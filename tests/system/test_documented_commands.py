@@ -15,14 +15,14 @@ from typing import Any
 import pytest
 import typer.main
 
-import rsu_app.__main__
+import rsu_app.cli
 import training.cli
-import vehicle_client.__main__
+import vehicle_client.cli
 from tests.system.daemons import Daemon
 
 PROGRAMS: dict[str, Any] = {
-    "roadgrip-rsu": typer.main.get_command(rsu_app.__main__.app),
-    "roadgrip-vehicle": typer.main.get_command(vehicle_client.__main__.app),
+    "roadgrip-rsu": typer.main.get_command(rsu_app.cli.app),
+    "roadgrip-vehicle": typer.main.get_command(vehicle_client.cli.app),
     "roadgrip-train": typer.main.get_command(training.cli.app),
 }
 FENCE = re.compile(r"^```(?:sh|console)\n(.*?)^```", re.MULTILINE | re.DOTALL)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,7 +13,8 @@ from typer.testing import CliRunner
 
 from deploy.demo.unit import UnitProcess, migrate, write_config
 from roadgrip.features import KINEMATIC_FEATURES
-from vehicle_client.__main__ import app, main
+from vehicle_client.__main__ import main
+from vehicle_client.cli import app
 
 SPEEDUP = "200"
 
@@ -155,3 +157,15 @@ def test_a_section_that_a_unit_does_not_serve_is_said_with_those_it_does(
     with pytest.raises(SystemExit):
         main()
     assert "no map of 'sharp-turn': unknown_section: 'sharp-turn' is none of s-turn" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("absent", "code", "needle"), [("typer", 2, "roadgrip[vehicle]"), ("", 0, "roadgrip 0")])
+def test_without_its_libraries_the_command_says_what_to_install(absent, code, needle):
+    program = (
+        f"import sys; sys.modules.update(dict.fromkeys({absent.split()})); "
+        "import vehicle_client.__main__ as door; door.main()"
+    )
+    done = subprocess.run([sys.executable, "-c", program, "--version"], capture_output=True, text=True, check=False)
+    assert done.returncode == code
+    assert needle in done.stdout + done.stderr
+    assert "Traceback" not in done.stderr

@@ -22,7 +22,7 @@ from roadgrip.section import RoadSection
 from roadgrip.sections import read_section
 from roadgrip.units import GRAVITY_MPS2
 from tests.vehicle_client.shell.cars import a_drive
-from vehicle_client.__main__ import app
+from vehicle_client.cli import app
 from vehicle_client.shell.drive_picture import (
     axle_force_ratio,
     axle_slip_rad,

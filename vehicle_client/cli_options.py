@@ -1,0 +1,67 @@
+"""Options that several commands of `roadgrip-vehicle` share, and the road that one of them names."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from vehicle_client.shell.replay import RecordingFormat
+from vehicle_client.simulator.plan import SensorGrade
+
+if TYPE_CHECKING:
+    from roadgrip.section import RoadSection
+    from vehicle_client.shell.keys import Keys
+    from vehicle_client.shell.uplink import UnitAddress
+
+DEFAULT_UNIT = "udp://127.0.0.1:4740"
+
+Section = Annotated[
+    str,
+    typer.Option(
+        "--section",
+        "-s",
+        help="The road: the name of a packaged section (long-turn, s-turn, sharp-turn), the path of a section file, or "
+        "`rsu:ID` to ask the unit for its map.",
+    ),
+]
+Unit = Annotated[
+    str,
+    typer.Option(
+        "--rsu",
+        help="The road side unit: `udp://HOST:PORT` as a radio would reach it, or `http://HOST:PORT` over cellular.",
+    ),
+]
+RecordedAs = Annotated[
+    RecordingFormat, typer.Option("--format", help="Whose columns they are; `roadgrip` is our own CSV.")
+]
+BaseFriction = Annotated[
+    float,
+    typer.Option(
+        min=0.05, max=1.2, help="Friction the road offers a new tyre: 0.1 is wet ice, 0.3 packed snow, 0.8 dry asphalt."
+    ),
+]
+Sensors = Annotated[SensorGrade, typer.Option(help="`ideal` sensors, or what a production car carries.")]
+Seed = Annotated[int, typer.Option(min=0, help="The same seed brings the same vehicles, drives and losses.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Write JSON for a machine; progress goes to standard error.")]
+SigningKey = Annotated[
+    Path | None, typer.Option("--signing-key", help="Ed25519 private key (PEM) that signs what the vehicle sends.")
+]
+TrustedKeys = Annotated[
+    list[Path] | None,
+    typer.Option("--trusted-key", help="Ed25519 public key (PEM) of a unit; repeat it. Answers must then be signed."),
+]
+
+
+async def road_of(text: str, address: UnitAddress, keys: Keys) -> RoadSection:
+    """Return the road that an option names."""
+    from roadgrip.sections import read_section
+    from vehicle_client.shell.roads import FROM_UNIT_PREFIX, ask_for_section
+    from vehicle_client.shell.uplink import uplink_to
+
+    if not text.startswith(FROM_UNIT_PREFIX):
+        return read_section(text)
+    section_id = text.removeprefix(FROM_UNIT_PREFIX)
+    async with uplink_to(address) as uplink:
+        return await ask_for_section(section_id, uplink=uplink, open_codec=keys.codecs_for(section_id))
