@@ -159,13 +159,23 @@ def statistics_of(samples: FloatArray) -> FloatArray:
     deviation = ordered - mean
     variance = float(np.mean(deviation**2))
     std = float(np.sqrt(variance))
-    q20, q40, median, q60, q80 = np.quantile(ordered, [0.2, 0.4, 0.5, 0.6, 0.8])
+    q20, q40, median, q60, q80 = _quantiles(ordered)
     skewness = kurtosis = 0.0
     if std > _FLAT * max(1e-300, float(np.abs(ordered).max())):
         scaled = deviation / std
-        skewness = float(np.mean(scaled**3))
-        kurtosis = float(np.mean(scaled**4)) - 3.0
+        # Products: numpy's general power costs a hundred times as much.
+        square = scaled * scaled
+        skewness = float(np.mean(square * scaled))
+        kurtosis = float(np.mean(square * square)) - 3.0
     return np.array([mean, std, q20, q40, q60, q80, ordered[0], median, ordered[-1], skewness, kurtosis])
+
+
+def _quantiles(ordered: FloatArray) -> FloatArray:
+    """Return 20, 40, 50, 60 and 80 %, linear between neighbours, of samples that are sorted already. (5,)"""
+    at = np.array([0.2, 0.4, 0.5, 0.6, 0.8]) * (len(ordered) - 1)
+    below = at.astype(np.intp)
+    low, high = ordered[below], ordered[np.minimum(below + 1, len(ordered) - 1)]
+    return low + (high - low) * (at - below)
 
 
 def road_features(section: RoadSection) -> FloatArray:

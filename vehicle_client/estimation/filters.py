@@ -100,14 +100,19 @@ def _butterworth_smoothed(signal: FloatArray) -> FloatArray:
         filter |H|^2 = 1 / (1 + (w / w_c)^(2 N)) with w = tan(pi f / f_s), the cut-off frequency prewarped.
     """
     # Short signals are mirrored more than once, each time about the end reached.
-    extended = np.pad(signal, BUTTERWORTH_REACH_COUNT, mode="reflect", reflect_type="odd")
-    frequency_hz = np.fft.rfftfreq(len(extended), SAMPLE_S)
-    warped = np.tan(np.pi * np.minimum(frequency_hz / SAMPLE_RATE_HZ, 0.499)) / np.tan(
-        np.pi * CUTOFF_HZ / SAMPLE_RATE_HZ
-    )
-    gain = 1.0 / (1.0 + warped ** (2 * BUTTERWORTH_ORDER))
-    smooth = np.fft.irfft(np.fft.rfft(extended) * gain, len(extended))
-    return smooth[BUTTERWORTH_REACH_COUNT:-BUTTERWORTH_REACH_COUNT]
+    count = _fast_length(len(signal) + 2 * BUTTERWORTH_REACH_COUNT)
+    after_count = count - len(signal) - BUTTERWORTH_REACH_COUNT
+    extended = np.pad(signal, (BUTTERWORTH_REACH_COUNT, after_count), mode="reflect", reflect_type="odd")
+    # At half the sampling frequency the tangent has no value, and a little before it the gain is 0 already.
+    cycles = np.minimum(np.arange(count // 2 + 1) / count, 0.499)
+    ratio = np.tan(np.pi * cycles) / np.tan(np.pi * CUTOFF_HZ / SAMPLE_RATE_HZ)
+    spectrum = np.fft.rfft(extended) / (1.0 + ratio ** (2 * BUTTERWORTH_ORDER))
+    return np.fft.irfft(spectrum, count)[BUTTERWORTH_REACH_COUNT : BUTTERWORTH_REACH_COUNT + len(signal)]
+
+
+def _fast_length(count: int) -> int:
+    """Return a length from `count` on that Fourier transforms quickly: a power of two times 1, 3 or 5."""
+    return min(factor << max(0, (-(-count // factor) - 1).bit_length()) for factor in (2, 3, 5))
 
 
 def slow_part(signal: FloatArray, *, crossover_hz: float) -> FloatArray:
@@ -121,38 +126,34 @@ def slow_part(signal: FloatArray, *, crossover_hz: float) -> FloatArray:
         crossover_hz: Frequency where slow and fast part weigh the same; positive.
 
     References:
-        The result minimises sum (y - x)^2 + w sum (y[k+1] - y[k])^2, whose normal equations are tridiagonal and are
-        solved by elimination (Golub and Van Loan, Matrix Computations, section 4.3).
+        The result y of a signal x solves y[k] - w (y[k-1] - 2 y[k] + y[k+1]) = x[k], and thereby minimises
+        sum (y - x)^2 + w sum (y[k+1] - y[k])^2. On a circle the discrete Fourier transform solves it (Golub and Van
+        Loan, Matrix Computations, section 4.8); the two solutions without signal then mend the ends.
     """
     n = len(signal)
-    if n < 2:
-        return signal.astype(np.float64)
     w = 1.0 / (2.0 * np.pi * crossover_hz * SAMPLE_S) ** 2
-    # Python floats: a recursion over numpy scalars is some five times slower.
-    values = signal.tolist()
-    diagonal = 1.0 + w
-    ratios = [0.0] * n
-    forward = [0.0] * n
-    ratio = w / diagonal
-    carried = values[0] / diagonal
-    ratios[0], forward[0] = ratio, carried
-    inner = 1.0 + 2.0 * w
-    for k in range(1, n):
-        pivot = (inner if k < n - 1 else diagonal) - w * ratio
-        ratio = w / pivot
-        carried = (values[k] + w * carried) / pivot
-        ratios[k], forward[k] = ratio, carried
-    result = forward
-    following = carried
-    for k in range(n - 2, -1, -1):
-        following = forward[k] + ratios[k] * following
-        result[k] = following
-    return np.array(result)
+    m = _fast_length(n + 1)
+    eigenvalue = 1.0 + 4.0 * w * np.sin(np.pi / m * np.arange(m // 2 + 1)) ** 2
+    circular = np.fft.irfft(np.fft.rfft(signal, m) / eigenvalue, m)
+    # rho^k solves the equation without signal, rho + 1 / rho = 2 + 1 / w; so does its mirror image.
+    rho = 1.0 + (1.0 - np.sqrt(1.0 + 4.0 * w)) / (2.0 * w)
+    falling = rho ** np.arange(n)
+    # Mirrored means y[-1] = y[0] and y[n] = y[n-1].
+    jump = np.array([circular[0] - circular[-1], circular[n - 1] - circular[n]])
+    near, far = 1.0 / rho - 1.0, (rho - 1.0) * falling[-1]
+    at_start, at_end = (near * jump - far * jump[::-1]) / (near**2 - far**2)
+    result: FloatArray = circular[:n] + at_start * falling + at_end * falling[::-1]
+    return result
 
 
 def rate_of_change(signal: FloatArray) -> FloatArray:
     """Return the time derivative by central differences, one-sided at the ends; unit of the signal per second. (n,)"""
-    return np.gradient(signal, SAMPLE_S)
+    result = np.empty(len(signal))
+    np.subtract(signal[2:], signal[:-2], out=result[1:-1])
+    result[1:-1] /= 2.0 * SAMPLE_S
+    result[0] = (signal[1] - signal[0]) / SAMPLE_S
+    result[-1] = (signal[-1] - signal[-2]) / SAMPLE_S
+    return result
 
 
 def integral(signal: FloatArray) -> FloatArray:

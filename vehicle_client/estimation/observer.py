@@ -9,6 +9,7 @@ import numpy as np
 
 from roadgrip.units import SAMPLE_S
 from vehicle_client.estimation.filters import LowPass, rate_of_change, smoothed
+from vehicle_client.estimation.recursion import recursion_states
 
 if TYPE_CHECKING:
     from roadgrip.units import FloatArray
@@ -144,27 +145,19 @@ def observed_velocity_mps(
     a00, a01, a10, a11 = -half * pull, half * w, -half * (coupling + 1.0) * w, -half * straightness_1ps
     u0 = half * (accel_x_mps2 + pull * encoder_speed_mps)
     u1 = half * (accel_y_mps2 + coupling * w * encoder_speed_mps)
-    # (I - A[k+1]) x[k+1] = (I + A[k]) x[k] + u[k] + u[k+1], solved for all k at once; only the recursion is a loop.
+    # (I - A[k+1]) x[k+1] = (I + A[k]) x[k] + u[k] + u[k+1], solved for all k at once.
     n00, n01, n10, n11 = 1.0 - a00[1:], -a01[1:], -a10[1:], 1.0 - a11[1:]
     scale = 1.0 / (n00 * n11 - n01 * n10)
     e00, e01, e10, e11 = 1.0 + a00[:-1], a01[:-1], a10[:-1], 1.0 + a11[:-1]
     b0, b1 = u0[1:] + u0[:-1], u1[1:] + u1[:-1]
-    columns = (
+    transition = (
         (n11 * e00 - n01 * e10) * scale,
         (n11 * e01 - n01 * e11) * scale,
-        (n11 * b0 - n01 * b1) * scale,
         (n00 * e10 - n10 * e00) * scale,
         (n00 * e11 - n10 * e01) * scale,
-        (n00 * b1 - n10 * b0) * scale,
     )
-    x, y = float(encoder_speed_mps[0]), 0.0
-    forward, left = [x], [y]
-    # Python floats: a recursion over numpy scalars is some five times slower.
-    for m00, m01, c0, m10, m11, c1 in zip(*(column.tolist() for column in columns), strict=True):
-        x, y = m00 * x + m01 * y + c0, m10 * x + m11 * y + c1
-        forward.append(x)
-        left.append(y)
-    return np.array(forward), np.array(left)
+    addend = ((n11 * b0 - n01 * b1) * scale, (n00 * b1 - n10 * b0) * scale)
+    return recursion_states(transition, addend, start=(float(encoder_speed_mps[0]), 0.0))
 
 
 def sideslip_rad(velocity_x_mps: FloatArray, velocity_y_mps: FloatArray) -> FloatArray:

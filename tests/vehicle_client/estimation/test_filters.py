@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy import signal
+from scipy import linalg, signal
 
 from tests.vehicle_client.synthetic import clock_s
 from vehicle_client.estimation.filters import (
@@ -120,6 +120,39 @@ def test_the_slow_part_solves_its_equations(seed):
     difference = np.diff(np.eye(50), axis=0)
     expected = np.linalg.solve(np.eye(50) + w * difference.T @ difference, noise)
     assert np.allclose(slow_part(noise, crossover_hz=1.0), expected, atol=1e-9)
+
+
+def by_elimination(values, *, crossover_hz):
+    """Return the slow part by elimination, sample by sample, which is exact for any number of them."""
+    n, w = len(values), 1.0 / (2.0 * np.pi * crossover_hz * 0.01) ** 2
+    diagonal = np.full(n, 1.0 + 2.0 * w)
+    diagonal[[0, -1]] = 1.0 + w
+    bands = np.vstack([np.full(n, -w), diagonal, np.full(n, -w)])
+    return linalg.solve_banded((1, 1), bands, values)
+
+
+@given(seed=seeds, count=st.integers(2, 700), crossover_hz=st.sampled_from([0.01, 0.1, 1.0, 10.0]))
+def test_the_slow_part_is_that_of_elimination_for_any_number_of_samples(seed, count, crossover_hz):
+    walk = np.random.default_rng(seed).normal(size=count).cumsum()
+    expected = by_elimination(walk, crossover_hz=crossover_hz)
+    assert np.allclose(slow_part(walk, crossover_hz=crossover_hz), expected, atol=1e-8)
+
+
+def test_the_slow_part_of_ten_minutes_is_as_exact():
+    walk = np.random.default_rng(2).normal(size=60_000).cumsum()
+    assert np.allclose(slow_part(walk, crossover_hz=0.1), by_elimination(walk, crossover_hz=0.1), atol=1e-7)
+
+
+def test_a_nan_leaves_no_slow_part():
+    holed = np.zeros(100)
+    holed[50] = np.nan
+    assert np.isnan(slow_part(holed, crossover_hz=0.1)).all()
+
+
+@given(seed=seeds, count=st.integers(2, 300))
+def test_the_derivative_is_that_of_numpy(seed, count):
+    noise = np.random.default_rng(seed).normal(size=count)
+    assert np.allclose(rate_of_change(noise), np.gradient(noise, 0.01), rtol=1e-12, atol=1e-12)
 
 
 def test_derivative_and_integral_of_a_parabola():
