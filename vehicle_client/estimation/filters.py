@@ -84,9 +84,11 @@ def smoothed(signal: FloatArray, lowpass: LowPass = LowPass.HAMMING_FIR) -> Floa
 
 def _extended(signal: FloatArray, count: int) -> FloatArray:
     """Return the signal with `count` samples more at either end, fewer than it has itself. (n + 2 count,)"""
-    before = 2.0 * signal[0] - signal[count:0:-1]
-    after = 2.0 * signal[-1] - signal[-2 : -count - 2 : -1]
-    return np.concatenate([before, signal, after])
+    extended = np.empty(len(signal) + 2 * count)
+    np.subtract(2.0 * signal[0], signal[count:0:-1], out=extended[:count])
+    extended[count:-count] = signal
+    np.subtract(2.0 * signal[-1], signal[-2 : -count - 2 : -1], out=extended[-count:])
+    return extended
 
 
 def _butterworth_smoothed(signal: FloatArray) -> FloatArray:
@@ -158,4 +160,6 @@ def rate_of_change(signal: FloatArray) -> FloatArray:
 
 def integral(signal: FloatArray) -> FloatArray:
     """Return the time integral from the first sample by the trapezoidal rule; the first value is 0. (n,)"""
-    return np.concatenate([[0.0], np.cumsum((signal[1:] + signal[:-1]) * (SAMPLE_S / 2.0))])
+    result = np.zeros(len(signal))
+    np.cumsum((signal[1:] + signal[:-1]) * (SAMPLE_S / 2.0), out=result[1:])
+    return result

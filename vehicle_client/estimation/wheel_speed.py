@@ -45,7 +45,8 @@ def speed_at_wheels_mps(
     half_track = vehicle.track_m / 2.0
     sin_d, cos_d = np.sin(steer_rad), np.cos(steer_rad)
     across = (velocity_y_mps + w * front) * sin_d
-    result = np.empty_like(wheel_speed_mps)
+    # Column by column in memory, as everything after it reads.
+    result = np.empty((4, len(w))).T
     result[:, 0] = (wheel_speed_mps[:, 0] - across) / cos_d + w * half_track
     result[:, 1] = (wheel_speed_mps[:, 1] - across) / cos_d - w * half_track
     result[:, 2] = wheel_speed_mps[:, 2] + w * half_track
@@ -91,8 +92,20 @@ def encoder_speed_mps(
         mismatch[:, i] = rate_of_change(smoothed(speeds[:, i], parameters.lowpass))
     mismatch = (mismatch - accel_x_mps2[:, None]) / sigma[:, None]
     weights = np.maximum(np.exp(-0.5 * mismatch**2), WEIGHT_FLOOR)
-    ordered = np.sort(speeds, axis=1)
-    median = (ordered[:, 1:2] + ordered[:, 2:3]) / 2.0
+    median = _median_of_four(speeds)[:, None]
     stray = np.abs(speeds - median) > _STRAY_MPS + _STRAY_FRAC * np.abs(median)
     weights[stray] = WEIGHT_FLOOR**2
     return smoothed(np.sum(weights * speeds, axis=1) / np.sum(weights, axis=1), parameters.lowpass)
+
+
+def _median_of_four(values: FloatArray) -> FloatArray:
+    """Return the median of each row, faster than by sorting. (n,)
+
+    Args:
+        values: (n, 4)
+    """
+    a, b, c, d = values.T
+    lower = np.maximum(np.minimum(a, b), np.minimum(c, d))
+    upper = np.minimum(np.maximum(a, b), np.maximum(c, d))
+    median: FloatArray = (lower + upper) / 2.0
+    return median

@@ -1,6 +1,7 @@
 """Forward speed from four wheels."""
 
 from dataclasses import replace
+from itertools import permutations
 
 import numpy as np
 import pytest
@@ -75,3 +76,13 @@ def test_the_mirror_gives_the_same_speed():
     trace = motion(np.full(N, 12.0), 0.2 * np.sin(TIME_S))
     trace = replace(trace, wheel_speed_mps=trace.wheel_speed_mps + rng.normal(0.0, 0.05, (N, 4)))
     assert np.allclose(speed_of(mirrored(trace)), speed_of(trace), atol=1e-12)
+
+
+@pytest.mark.parametrize("order", list(permutations(range(4))))
+def test_driving_straight_it_does_not_matter_which_wheel_is_which(order):
+    trace = motion(np.full(N, 12.0), np.zeros(N))
+    # One wheel hangs, one creeps, two are noisy: all of the weighing is at work.
+    wheels = trace.wheel_speed_mps + np.random.default_rng(5).normal(0.0, 0.05, (N, 4))
+    wheels[:, 0], wheels[:, 1] = 9.0, wheels[:, 1] + np.linspace(0.0, 2.0, N)
+    expected = speed_of(replace(trace, wheel_speed_mps=wheels))
+    assert np.allclose(speed_of(replace(trace, wheel_speed_mps=wheels[:, list(order)])), expected, atol=1e-12)
