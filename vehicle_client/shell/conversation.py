@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Protocol
 from vehicle_client.shell.exchange import Exchange, Stage
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Callable, Iterable
 
     from roadgrip.records import KinematicSummary
     from vehicle_client.shell.uplink import Uplink
@@ -56,11 +56,18 @@ async def send_all(frames: Iterable[bytes], uplink: Uplink) -> None:
         await uplink.send(frame)
 
 
-async def arrive(exchange: Exchange, uplink: Uplink, clock: Clock) -> None:
-    """Announce the vehicle, and return when it has what it asked for or asks no more."""
+async def arrive(exchange: Exchange, uplink: Uplink, clock: Clock, *, watch: Callable[[], None] | None = None) -> None:
+    """Announce the vehicle, and return when it has what it asked for or asks no more.
+
+    Args:
+        exchange: Of the passage.
+        uplink: Carries it.
+        clock: Of the exchange.
+        watch: Called whenever a frame was taken, so that advice is shown when it comes and not when all has come.
+    """
     await send_all(exchange.begin(now_s=clock.now_s()), uplink)
     while exchange.stage is Stage.ARRIVING:
-        await converse(exchange, uplink, clock, until_s=exchange.wake_at_s)
+        await converse(exchange, uplink, clock, until_s=exchange.wake_at_s, watch=watch)
 
 
 async def report(
@@ -81,7 +88,14 @@ async def report(
     await converse(exchange, uplink, clock)
 
 
-async def converse(exchange: Exchange, uplink: Uplink, clock: Clock, *, until_s: float = inf) -> None:
+async def converse(
+    exchange: Exchange,
+    uplink: Uplink,
+    clock: Clock,
+    *,
+    until_s: float = inf,
+    watch: Callable[[], None] | None = None,
+) -> None:
     """Keep an exchange going until it has ended or the clock shows `until_s`.
 
     A vehicle that has all it asked for keeps listening, so that an answer that comes late is not lost; without
@@ -99,6 +113,8 @@ async def converse(exchange: Exchange, uplink: Uplink, clock: Clock, *, until_s:
                 pass
             else:
                 exchange.receive(frame, now_s=clock.now_s())
+                if watch is not None:
+                    watch()
                 continue
         now_s = clock.now_s()
         await send_all(exchange.tick(now_s=now_s), uplink)

@@ -338,35 +338,40 @@ class _Fleet:
                 await self._deliver()
 
     async def _deliver(self) -> None:
-        """Try every summary that waits once more."""
+        """Try every summary that waits once more, but for those that had to make room meanwhile."""
         for entry in self._spool.waiting():
-            exchange = Exchange(
-                passage_id=entry.passage_id,
-                section_id=entry.section_id,
-                codec=self._tools.open_codec(entry.passage_id),
-                patience=replace(self._patience, report_tries_count=SPOOL_TRIES_COUNT),
-                frames_spent_count=entry.frames_spent_count,
+            with self._spool.delivering(entry.passage_id) as is_there:
+                if is_there:
+                    await self._deliver_one(entry)
+
+    async def _deliver_one(self, entry: SpooledSummary) -> None:
+        exchange = Exchange(
+            passage_id=entry.passage_id,
+            section_id=entry.section_id,
+            codec=self._tools.open_codec(entry.passage_id),
+            patience=replace(self._patience, report_tries_count=SPOOL_TRIES_COUNT),
+            frames_spent_count=entry.frames_spent_count,
+        )
+        async with self._uplink() as uplink:
+            await report(
+                exchange,
+                uplink,
+                self._clock,
+                entry.summary,
+                map_version=entry.map_version,
+                left_at_s=entry.left_at_s,
             )
-            async with self._uplink() as uplink:
-                await report(
-                    exchange,
-                    uplink,
-                    self._clock,
-                    entry.summary,
-                    map_version=entry.map_version,
-                    left_at_s=entry.left_at_s,
-                )
-                record = exchange.record()
-            if not record.may_spool:
-                self._spool.drop(entry.passage_id)
-                self._report.delivered_late_count += record.ending is Ending.ACCEPTED
-            elif record.frames_sent_count >= VEHICLE_FRAME_BUDGET:
-                self._spool.drop(entry.passage_id)
-                self._report.frames_spent_count += 1
-            else:
-                self._spool.keep(replace(entry, frames_spent_count=record.frames_sent_count))
-            visit, drive = self._waiting[entry.passage_id]
-            self._end(visit, drive, record, uplink.counts, spent_before_count=entry.frames_spent_count)
+            record = exchange.record()
+        if not record.may_spool:
+            self._spool.drop(entry.passage_id)
+            self._report.delivered_late_count += record.ending is Ending.ACCEPTED
+        elif record.frames_sent_count >= VEHICLE_FRAME_BUDGET:
+            self._spool.drop(entry.passage_id)
+            self._report.frames_spent_count += 1
+        else:
+            self._spool.keep(replace(entry, frames_spent_count=record.frames_sent_count))
+        visit, drive = self._waiting[entry.passage_id]
+        self._end(visit, drive, record, uplink.counts, spent_before_count=entry.frames_spent_count)
 
     def _end(
         self, visit: Visit, drive: Drive, record: ExchangeRecord, air: AirCounts, *, spent_before_count: int = 0

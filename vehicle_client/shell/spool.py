@@ -11,9 +11,11 @@ has no known age and is dropped. Whatever is dropped is counted, never silently 
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -103,6 +105,7 @@ class Spool:
         self._clock_id = clock_id
         self._capacity_count = capacity_count
         self._entries: dict[int, SpooledSummary] = {}
+        self._in_delivery: set[int] = set()
         self._next = 0
         self.counts = SpoolCounts()
         try:
@@ -138,6 +141,24 @@ class Spool:
         self._entries[number] = entry
         self._make_room()
 
+    @contextlib.contextmanager
+    def delivering(self, passage_id: bytes) -> Iterator[bool]:
+        """Hold on to a summary while it is on its way, and yield whether it is still there.
+
+        A summary that comes meanwhile finds no room at the expense of this one: it would be counted as dropped, and
+        then delivered after all. The spool may hold more than its capacity until the delivery has ended.
+        """
+        number = self._number_of(passage_id)
+        if number is None or number in self._in_delivery:
+            yield False
+            return
+        self._in_delivery.add(number)
+        try:
+            yield True
+        finally:
+            self._in_delivery.discard(number)
+            self._make_room()
+
     def drop(self, passage_id: bytes) -> None:
         """Forget a summary, because it was delivered or never will be; nothing happens if it is not there."""
         number = self._number_of(passage_id)
@@ -158,8 +179,9 @@ class Spool:
         self._entries.pop(number, None)
 
     def _make_room(self) -> None:
-        while len(self._entries) > self._capacity_count:
-            self._forget(min(self._entries))
+        # What is on its way takes no room until it comes back.
+        while len(self._entries) > self._capacity_count + len(self._in_delivery):
+            self._forget(min(self._entries.keys() - self._in_delivery))
             self.counts.overflowed_count += 1
 
     def _load(self) -> None:

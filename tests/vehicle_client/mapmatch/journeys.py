@@ -85,6 +85,11 @@ class Journey:
             self._step(0.0, speed_mps=0.0)
         return self
 
+    def hear(self, section_id: str) -> Journey:
+        """Hear a beacon of another section."""
+        self._take(self.surroundings.hear(section_id, self.moment))
+        return self
+
     def finish(self) -> Journey:
         """End the recording."""
         self._take(self.surroundings.finish(self.moment))

@@ -24,7 +24,7 @@ SHORT_ROAD = read_section("sharp-turn")
 
 
 def test_a_car_with_positions_goes_through_every_stage_and_summarises_once():
-    seen = []
+    seen: list[Whereabouts] = []
     journey = Journey(ROAD)
     for station in range(-1_400, 1_500, 20):
         journey.drive_to(station)
@@ -190,7 +190,7 @@ def test_an_end_of_the_recording_asks_once_more():
 def test_two_overlapping_sections_of_one_unit_are_two_passes():
     journey = Journey(ROAD, satellites=False)
     journey.drive_to(-50.0)
-    journey._take(journey.surroundings.hear("other-half", journey.moment))
+    journey.hear("other-half")
     journey.drive_to(3_000.0)
     assert {c.section_id for c in journey.closings if c.summarised} == {ROAD.section_id, "other-half"}
 

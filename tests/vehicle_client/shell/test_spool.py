@@ -153,6 +153,39 @@ def test_a_disk_that_takes_nothing_leaves_the_spool_as_it_was(tmp_path: Path, mo
     assert [p.name for p in tmp_path.iterdir()] == ["000000000000.json"]
 
 
+def test_a_summary_on_its_way_makes_no_room(tmp_path: Path):
+    spool = Spool(tmp_path, clock_id="boot-1", capacity_count=2)
+    spool.keep(entry(1))
+    spool.keep(entry(2))
+    with spool.delivering(entry(1).passage_id) as is_there:
+        assert is_there
+        spool.keep(entry(3))
+        spool.keep(entry(4))
+        assert spool.waiting() == (entry(1), entry(3), entry(4))
+        spool.drop(entry(1).passage_id)  # delivered
+    assert spool.waiting() == (entry(3), entry(4))
+    assert spool.counts.overflowed_count == 1
+
+
+def test_a_summary_that_comes_back_undelivered_is_dropped_once(tmp_path: Path):
+    spool = Spool(tmp_path, clock_id="boot-1", capacity_count=1)
+    spool.keep(entry(1))
+    with spool.delivering(entry(1).passage_id):
+        spool.keep(entry(2))
+        spool.keep(replace(entry(1), frames_spent_count=8))
+    assert spool.waiting() == (entry(2),)
+    assert spool.counts.overflowed_count == 1
+
+
+def test_a_summary_is_on_its_way_once_and_what_is_gone_is_not(tmp_path: Path):
+    spool = Spool(tmp_path, clock_id="boot-1")
+    spool.keep(entry(1))
+    with spool.delivering(entry(1).passage_id), spool.delivering(entry(1).passage_id) as again:
+        assert not again
+    with spool.delivering(entry(2).passage_id) as is_there:
+        assert not is_there
+
+
 def test_a_folder_that_cannot_be_is_said(tmp_path: Path):
     (tmp_path / "file").touch()
     with pytest.raises(SpoolError, match="cannot use"):
