@@ -27,3 +27,9 @@ CHANNELS = SENSOR_COLUMNS + WHEEL_COLUMNS
 STABILITY_COLUMN = "stability_active"
 GNSS_COLUMNS = ("gnss_time_s", "lat_deg", "lon_deg", "gnss_accuracy_m")
 GNSS_SPEED_COLUMN = "gnss_speed_mps"
+
+STABILITY_CHANNELS = ("abs_active", "tcs_active", "esc_active", STABILITY_COLUMN)
+"""Flags of a car that speaks for each of its systems; any of them makes a sample `stability_active`."""
+FIX_CHANNELS = ("lat_deg", "lon_deg", "gnss_accuracy_m", GNSS_SPEED_COLUMN)
+SERIES_CHANNELS = CHANNELS + STABILITY_CHANNELS + FIX_CHANNELS
+"""Whatever can come as a series of its own, with its own time stamps."""

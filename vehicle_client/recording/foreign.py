@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -97,7 +97,7 @@ def recording_of_columns(columns: Mapping[str, FloatArray], mapping: ColumnMappi
         message = f"{place}: no wheel speeds, and no reference speed to stand in for them"
         raise TraceError(message)
     values = np.column_stack([rows.get(name, np.zeros_like(time)) for name in CHANNELS])
-    trace = trace_of_samples(time, values, quality=quality)
+    trace = replace(trace_of_samples(time, values, quality=quality), absent=missing)
     known = np.isfinite(time)
     return Recording(
         trace=trace,
