@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 
 WEIGHT_FLOOR = 1e-3
 """No wheel loses its voice entirely, so that four locked wheels still give a number."""
-_STRAY_FRAC = 0.1
-_STRAY_MPS = 0.3
+STRAY_FRAC = 0.1
+STRAY_MPS = 0.3
 
 
 def speed_at_wheels_mps(
@@ -93,7 +93,7 @@ def encoder_speed_mps(
     mismatch = (mismatch - accel_x_mps2[:, None]) / sigma[:, None]
     weights = np.maximum(np.exp(-0.5 * mismatch**2), WEIGHT_FLOOR)
     median = _median_of_four(speeds)[:, None]
-    stray = np.abs(speeds - median) > _STRAY_MPS + _STRAY_FRAC * np.abs(median)
+    stray = np.abs(speeds - median) > STRAY_MPS + STRAY_FRAC * np.abs(median)
     weights[stray] = WEIGHT_FLOOR**2
     return smoothed(np.sum(weights * speeds, axis=1) / np.sum(weights, axis=1), parameters.lowpass)
 
