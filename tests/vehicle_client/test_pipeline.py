@@ -33,6 +33,8 @@ from vehicle_client.pipeline import Summarised, summarise_passage
 SECTION = road(s_turn)
 TRACE, STATION = drive_over(s_turn)
 ENTRY = int(np.searchsorted(STATION, 0.0))
+TO_ZERO = replace(PAPER_PARAMETERS, grip_pull_ratio=0.0)
+"""The synthetic car has no sideslip at its centre of gravity, as the paper expects; one that rolls has some."""
 
 
 def made(outcome) -> Summarised:
@@ -54,13 +56,13 @@ def quantities(summary) -> list[float]:
     return [v for v, f in zip(summary.values, KINEMATIC_FEATURES, strict=True) if f.unit]
 
 
-def signals_of(trace: Trace, section=SECTION, station_m=None):
+def signals_of(trace: Trace, section=SECTION, station_m=None, parameters=TO_ZERO):
     return kinematic_signals(
         trace,
         section,
         station_m=np.zeros(trace.samples_count) if station_m is None else station_m,
         vehicle=XC90,
-        parameters=PAPER_PARAMETERS,
+        parameters=parameters,
         offsets=NO_OFFSETS,
     )
 
@@ -69,7 +71,7 @@ def signals_of(trace: Trace, section=SECTION, station_m=None):
 
 
 def test_a_drive_without_sideslip_is_summarised_as_one():
-    result = made(summarise_passage(TRACE, SECTION))
+    result = made(summarise_passage(TRACE, SECTION, parameters=TO_ZERO))
     values = table(result.summary)
     assert result.summary.table_digest == TABLE_DIGEST
     assert result.summary.duration_s == pytest.approx(400.0 / 15.0, abs=0.02)
@@ -120,7 +122,7 @@ def test_the_bank_of_the_map_is_not_taken_for_sliding(slope):
     signals = signals_of(trace, section, station)
     assert np.abs(signals.sideslip_rad).max() < 2e-3
     assert np.abs(signals.chassis_roll_rad).max() < 1e-3
-    assert np.abs(made(summarise_passage(trace, section)).signals.sideslip_rad).max() < 2e-3
+    assert np.abs(made(summarise_passage(trace, section, parameters=TO_ZERO)).signals.sideslip_rad).max() < 2e-3
 
 
 @settings(max_examples=10, deadline=None)

@@ -12,10 +12,11 @@ from vehicle_client.estimation.filters import smoothed
 from vehicle_client.estimation.mounting import InertialSignals, at_centre_of_gravity, levelled
 from vehicle_client.estimation.observer import (
     ObserverParameters,
-    observed_velocity_mps,
+    gripping_velocity_y_mps,
     sideslip_rad,
     sideslip_rate_radps,
     straightness_1ps,
+    two_way_velocity_mps,
 )
 from vehicle_client.estimation.roll import chassis_roll_rad, road_accel_y_mps2
 from vehicle_client.estimation.summary import KinematicSignals
@@ -65,26 +66,33 @@ def kinematic_signals(
         )
 
     speed = speed_given(np.zeros_like(yaw_rate))
+    gripping = gripping_velocity_y_mps(accel_y, yaw_rate, speed, rear_axle_m=vehicle.rear_axle_m, parameters=parameters)
     roll = chassis_roll_rad(
         accel_y,
         yaw_rate,
         speed,
         measured.roll_rate_radps,
         bank,
+        climb_rad=climb,
+        gripping_velocity_y_mps=gripping,
         crossover_hz=parameters.roll_crossover_hz,
     )
     road_accel_y = road_accel_y_mps2(accel_y, chassis_roll_rad=roll, bank_rad=bank)
     rate = sideslip_rate_radps(road_accel_y, yaw_rate, speed, lowpass=lowpass)
     straight = straightness_1ps(yaw_rate, steer, rate, parameters=parameters)
 
-    def velocity_given(speed_mps: FloatArray) -> tuple[FloatArray, FloatArray]:
-        x, y = observed_velocity_mps(accel_x, road_accel_y, yaw_rate, speed_mps, straight, parameters=parameters)
-        return smoothed(x, lowpass), smoothed(y, lowpass)
-
-    _, velocity_y = velocity_given(speed)
-    # The front wheels roll partly sideways: once the lateral velocity is known, the encoders tell a better speed.
-    speed = speed_given(velocity_y)
-    velocity_x, velocity_y = velocity_given(speed)
+    # The front wheels roll partly sideways: with about the right lateral velocity the encoders tell a better speed.
+    speed = speed_given(gripping)
+    velocity_x, velocity_y = two_way_velocity_mps(
+        accel_x,
+        road_accel_y,
+        yaw_rate,
+        speed,
+        straight,
+        parameters=parameters,
+        gripping_velocity_y_mps=gripping,
+    )
+    velocity_x, velocity_y = smoothed(velocity_x, lowpass), smoothed(velocity_y, lowpass)
     return KinematicSignals(
         steer_rad=steer,
         sideslip_rad=sideslip_rad(velocity_x, velocity_y),

@@ -29,6 +29,11 @@ class VehicleGeometry:
     imu_pitch_rad: float = 0.0
     imu_yaw_rad: float = 0.0
 
+    @property
+    def rear_axle_m(self) -> float:
+        """Centre of gravity to rear axle."""
+        return self.wheelbase_m - self.front_axle_m
+
 
 XC90 = VehicleGeometry(wheelbase_m=2.984, track_m=1.670, front_axle_m=1.43)
 """Volvo XC90 (2015), the car of the paper. Wheelbase and track are the maker's, the centre of gravity an estimate."""

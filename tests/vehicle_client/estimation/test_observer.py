@@ -1,5 +1,7 @@
 """The kinematic observer on motion whose velocities are known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -8,10 +10,12 @@ from scipy.integrate import solve_ivp
 
 from vehicle_client.estimation.observer import (
     PAPER_PARAMETERS,
+    gripping_velocity_y_mps,
     observed_velocity_mps,
     sideslip_rad,
     sideslip_rate_radps,
     straightness_1ps,
+    two_way_velocity_mps,
 )
 
 N = 1500
@@ -38,6 +42,80 @@ def test_a_steady_circle_without_sideslip_stays_one(radius_m, speed, left):
     x, y = observe(ZERO, w * speed, w, v, np.full(N, 0.5))
     assert np.allclose(x, speed, atol=1e-9)
     assert np.allclose(y, 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("pulled_to_mps", [None, -0.2, 0.3])
+@pytest.mark.parametrize("observer", [observed_velocity_mps, two_way_velocity_mps])
+def test_a_steady_circle_with_sideslip_settles_between_it_and_what_is_pulled_to(observer, pulled_to_mps):
+    # The equation at rest, solved by hand: V_y counts with (1 + a_2) w^2 / (a_0 + a_1 |w|), the pull with F.
+    w, v, vy, f = 0.3, 15.0, -0.6, 0.4
+    held = None if pulled_to_mps is None else np.full(N, pulled_to_mps)
+    _, y = observer(
+        np.full(N, -w * vy),
+        np.full(N, w * v),
+        np.full(N, w),
+        np.full(N, v),
+        np.full(N, f),
+        parameters=PAPER_PARAMETERS,
+        gripping_velocity_y_mps=held,
+    )
+    kept = 6.0 * w**2 / (15.0 + 14.0 * w)
+    # Both runs have forgotten their start in the middle: 7.5 s at a rate of more than 0.4 per second.
+    assert y[N // 2] == pytest.approx((kept * vy + f * (pulled_to_mps or 0.0)) / (kept + f), abs=0.03)
+    long = np.full(20 * N, 1.0)
+    _, y = observer(-w * vy * long, w * v * long, w * long, v * long, f * long, parameters=PAPER_PARAMETERS)
+    assert y[10 * N] == pytest.approx(kept * vy / (kept + f), abs=1e-9)
+
+
+def test_run_both_ways_the_observer_lags_nothing_and_keeps_w2_over_w2_plus_f2():
+    omega, f = 1.5, 0.5
+    vy = np.sin(omega * TIME_S)
+    _, y = two_way_velocity_mps(
+        ZERO, np.gradient(vy, 0.01), ZERO, np.full(N, 20.0), np.full(N, f), parameters=PAPER_PARAMETERS
+    )
+    middle = slice(700, 800)
+    assert np.abs(y - omega**2 / (omega**2 + f**2) * vy)[middle].max() < 0.05
+
+
+def test_run_both_ways_an_offset_of_the_accelerometer_cancels():
+    _, y = two_way_velocity_mps(
+        ZERO, np.full(N, 0.1), ZERO, np.full(N, 20.0), np.full(N, 3.0), parameters=PAPER_PARAMETERS
+    )
+    assert abs(y[N // 2]) < 1e-9
+
+
+def test_run_both_ways_time_may_run_backward():
+    rng = np.random.default_rng(4)
+    ax, ay, w = rng.normal(0.0, 0.3, (3, N))
+    v, f, held = np.full(N, 15.0), rng.uniform(0.0, 1.0, N), rng.normal(0.0, 0.1, N)
+    x, y = two_way_velocity_mps(ax, ay, w, v, f, parameters=PAPER_PARAMETERS, gripping_velocity_y_mps=held)
+    back = two_way_velocity_mps(
+        -ax[::-1], -ay[::-1], -w[::-1], v, f[::-1], parameters=PAPER_PARAMETERS, gripping_velocity_y_mps=held[::-1]
+    )
+    assert np.allclose(back[0][::-1], x, atol=1e-12)
+    assert np.allclose(back[1][::-1], y, atol=1e-12)
+
+
+def test_a_gripping_car_turns_about_a_point_beside_its_rear_axle():
+    # Slowly round a circle of 20 m: sideslip is the distance of the rear axle over the radius.
+    w = np.full(N, 2.0 / 20.0)
+    p = replace(PAPER_PARAMETERS, rear_slip_gradient_s2pm=0.005)
+    slow = gripping_velocity_y_mps(ZERO, w, np.full(N, 2.0), rear_axle_m=1.5, parameters=p)
+    assert np.allclose(slow / 2.0, 1.5 / 20.0)
+    # Four m/s^2 take 0.02 rad of slip at the rear tyres.
+    fast = gripping_velocity_y_mps(np.full(N, 4.0), w, np.full(N, 40.0), rear_axle_m=1.5, parameters=p)
+    assert np.allclose(fast / 40.0, 1.5 * 0.1 / 40.0 - 0.02)
+
+
+def test_a_car_on_a_straight_grips_without_lateral_velocity():
+    assert not gripping_velocity_y_mps(ZERO, ZERO, np.full(N, 30.0), rear_axle_m=1.5, parameters=PAPER_PARAMETERS).any()
+
+
+def test_the_papers_pull_to_zero_is_a_constant_away():
+    p = replace(PAPER_PARAMETERS, grip_pull_ratio=0.0)
+    assert not gripping_velocity_y_mps(
+        np.full(N, 4.0), np.full(N, 0.3), np.full(N, 13.0), rear_axle_m=1.5, parameters=p
+    ).any()
 
 
 def test_sinusoidal_sideslip_is_followed_where_nothing_pulls():

@@ -11,8 +11,19 @@ TIME_S = np.arange(N) * 0.01
 ZERO = np.zeros(N)
 
 
-def roll_of(accel_y, *, yaw_rate=ZERO, speed=ZERO, roll_rate=ZERO, bank=ZERO, crossover_hz=0.1):
-    return chassis_roll_rad(accel_y, yaw_rate, speed, roll_rate, bank, crossover_hz=crossover_hz)
+def roll_of(
+    accel_y, *, yaw_rate=ZERO, speed=ZERO, roll_rate=ZERO, bank=ZERO, climb=ZERO, gripping=ZERO, crossover_hz=0.1
+):
+    return chassis_roll_rad(
+        accel_y,
+        yaw_rate,
+        speed,
+        roll_rate,
+        bank,
+        climb_rad=climb,
+        gripping_velocity_y_mps=gripping,
+        crossover_hz=crossover_hz,
+    )
 
 
 def test_a_parked_car_that_leans_is_seen_to_lean():
@@ -41,6 +52,26 @@ def test_fast_roll_comes_from_the_gyro_and_slow_from_the_accelerometer():
     assert np.abs(shaking[500:-500]).max() < 0.001
 
 
+@pytest.mark.parametrize("climb_rad", [-0.08, 0.1])
+def test_turning_on_a_grade_is_no_roll(climb_rad):
+    # The road turns about the vertical, the car's long axis points uphill: the roll gyro sees a share of the turn.
+    yaw_rate, speed = 0.3 * np.sin(0.5 * TIME_S), np.full(N, 15.0)
+    found = roll_of(
+        yaw_rate * speed,
+        yaw_rate=yaw_rate,
+        speed=speed,
+        roll_rate=yaw_rate * np.tan(climb_rad),
+        climb=np.full(N, climb_rad),
+    )
+    assert np.abs(found).max() < 1e-12
+
+
+def test_a_lateral_velocity_that_was_expected_is_no_roll():
+    gripping = 0.5 * np.sin(0.3 * TIME_S)
+    found = roll_of(np.gradient(gripping, 0.01), gripping=gripping)
+    assert np.abs(found).max() < 1e-4
+
+
 def test_gravity_is_taken_out():
     roll, bank = np.full(N, 0.03), np.full(N, -0.05)
     lateral = np.sin(TIME_S)
@@ -50,8 +81,12 @@ def test_gravity_is_taken_out():
 
 def test_the_mirror_rolls_the_other_way():
     rng = np.random.default_rng(2)
-    accel_y, yaw_rate, roll_rate, bank = rng.normal(0.0, 0.1, (4, N))
+    accel_y, yaw_rate, roll_rate, bank, gripping, climb = rng.normal(0.0, 0.1, (6, N))
     speed = np.full(N, 15.0)
-    here = roll_of(accel_y, yaw_rate=yaw_rate, speed=speed, roll_rate=roll_rate, bank=bank)
-    there = roll_of(-accel_y, yaw_rate=-yaw_rate, speed=speed, roll_rate=-roll_rate, bank=-bank)
+    here = roll_of(
+        accel_y, yaw_rate=yaw_rate, speed=speed, roll_rate=roll_rate, bank=bank, climb=climb, gripping=gripping
+    )
+    there = roll_of(
+        -accel_y, yaw_rate=-yaw_rate, speed=speed, roll_rate=-roll_rate, bank=-bank, climb=climb, gripping=-gripping
+    )
     assert np.allclose(there, -here, atol=1e-13)
