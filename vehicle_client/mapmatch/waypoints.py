@@ -17,6 +17,13 @@ CURVATURE_MIN_1PM = 1.0 / 1000.0
 SMOOTHING_M = 15.0
 """Vehicles cut corners: curvature is compared as means over this length."""
 
+RIGHT_STD_FRAC, RIGHT_STD_1PM = 0.4, 0.003
+"""Of the difference between driven and mapped curvature at a waypoint: a driver's own line through a bend."""
+OTHER_STD_FRAC, OTHER_STD_1PM = 1.0, 0.01
+"""The same where the road is another one."""
+VOTE_MIN = -4.0
+"""One waypoint alone, such as one at which somebody swerved, can say no more against a road."""
+
 
 @dataclass(frozen=True, slots=True)
 class Waypoints:
@@ -36,6 +43,23 @@ def section_waypoints(section: RoadSection) -> Waypoints:
     profile = section.profile
     curvature = mean_curvature_1pm(profile.station_m, profile.heading_rad, at_m=profile.station_m)
     return curvature_extremes(profile.station_m, curvature)
+
+
+def vote_of_waypoints(driven_1pm: FloatArray, *, mapped_1pm: FloatArray) -> float:
+    """Return how much the waypoints speak for a road: the sum of their log likelihood ratios.
+
+    Every waypoint where the drive bends the way the map says adds up to about 1, every other one takes away up to 4.
+    Since it is looked for where the map has it, its distances from the others, from start and end count as well.
+
+    Args:
+        driven_1pm: Curvature of the drive where the waypoints should lie, left turn positive. (k,)
+        mapped_1pm: Curvature of the map at its waypoints. (k,)
+    """
+    off = driven_1pm - mapped_1pm
+    right = RIGHT_STD_1PM + RIGHT_STD_FRAC * np.abs(mapped_1pm)
+    other = OTHER_STD_1PM + OTHER_STD_FRAC * np.abs(mapped_1pm)
+    ratios = np.log(other / right) - 0.5 * (off / right) ** 2 + 0.5 * (off / other) ** 2
+    return float(np.sum(np.maximum(ratios, VOTE_MIN)))
 
 
 def mean_curvature_1pm(station_m: FloatArray, heading_rad: FloatArray, *, at_m: FloatArray) -> FloatArray:
