@@ -12,13 +12,15 @@ from vehicle_client.estimation.filters import smoothed
 from vehicle_client.estimation.gaps import believable, bridged, longest_gap_s, missing_frac
 from vehicle_client.estimation.observer import PAPER_PARAMETERS, ObserverParameters
 from vehicle_client.estimation.offsets import SensorOffsets, sensor_offsets
+from vehicle_client.estimation.plausibility import Sensor, findings
 from vehicle_client.estimation.signals import in_car_axes, kinematic_signals
 from vehicle_client.estimation.summary import KinematicSignals, kinematic_summary
 from vehicle_client.estimation.vehicle_geometry import XC90, VehicleGeometry
+from vehicle_client.estimation.vertical import vertical_velocity_mps
 from vehicle_client.estimation.wheel_speed import encoder_speed_mps
-from vehicle_client.mapmatch.dead_reckoning import driven_line, match_by_dead_reckoning
-from vehicle_client.mapmatch.gnss import match_by_gnss, positions_usable
+from vehicle_client.mapmatch.dead_reckoning import driven_line
 from vehicle_client.mapmatch.match import MatchMethod, SectionMatch
+from vehicle_client.mapmatch.placing import placed
 
 if TYPE_CHECKING:
     from roadgrip.section import RoadSection
@@ -83,16 +85,23 @@ def summarise_passage(
         return Rejected(Reason.TOO_SHORT, f"{int(valid.sum())} samples")
     trace = bridged(trace, valid)
     rough = _rough_speed_mps(trace, vehicle=vehicle, parameters=parameters)
-    match = _matched(trace, rough, section)
+    climbing = vertical_velocity_mps(trace.accel_x_mps2, rough, trace.yaw_rate_radps)
+    line = driven_line(rough, trace.yaw_rate_radps, vertical_velocity_mps=climbing)
+    placing = placed(trace.gnss, line, trace.time_s, section)
+    match = placing.outcome
     if isinstance(match, Rejected):
-        gap = longest_gap_s(valid)
-        if gap > GAP_LIMIT_S or missing_frac(valid) > MISSING_LIMIT_FRAC:
-            return Rejected(Reason.TOO_MANY_GAPS, f"longest gap {gap:.2f} s; {match.detail}")
-        return match
+        return _not_found(trace, rough, vehicle, refusal=match)
     inside = match.inside(trace.time_s)
     refusal = _refusal(inside=inside, valid=valid, speed_mps=rough)
     if refusal is not None:
         return refusal
+    found = (
+        *placing.findings,
+        *findings(trace, rough, from_s=match.entry_s, to_s=match.exit_s, vehicle=vehicle),
+    )
+    faults = [finding for finding in found if finding.grave]
+    if faults:
+        return Rejected(Reason.SENSOR_FAULT, "; ".join(map(str, faults)))
     # In the car's axes, from where they are subtracted: else a tilted sensor's share of gravity counts twice.
     mounted = in_car_axes(trace, vehicle)
     offsets = sensor_offsets(
@@ -101,6 +110,8 @@ def summarise_passage(
         trace.steer_rad,
         rough,
         valid & (trace.time_s < match.entry_s),
+        accel_x_mps2=mounted.accel_x_mps2,
+        climb_rad=float(np.arctan(section.profile.grade_ratio[0])),
         wheelbase_m=vehicle.wheelbase_m,
     )
     signals = kinematic_signals(
@@ -111,7 +122,14 @@ def summarise_passage(
         signals,
         counted,
         duration_s=match.exit_s - match.entry_s,
-        quality=_quality(trace, match, offsets, missing=bool((inside & ~valid).any())),
+        quality=_quality(
+            trace,
+            match,
+            offsets,
+            missing=bool((inside & ~valid).any()),
+            gnss_poor=placing.gnss_poor,
+            doubtful=any(finding.doubtful for finding in found),
+        ),
     )
     return Summarised(summary=summary, match=match, signals=signals, offsets=offsets)
 
@@ -129,13 +147,16 @@ def _rough_speed_mps(trace: Trace, *, vehicle: VehicleGeometry, parameters: Obse
     )
 
 
-def _matched(trace: Trace, speed_mps: FloatArray, section: RoadSection) -> SectionMatch | Rejected:
-    line = driven_line(speed_mps, trace.yaw_rate_radps)
-    if trace.gnss is not None and positions_usable(trace.gnss, section):
-        found = match_by_gnss(trace.gnss, line, trace.time_s, section)
-        if found is not None:
-            return found
-    return match_by_dead_reckoning(line, trace.time_s, section)
+def _not_found(trace: Trace, speed_mps: FloatArray, vehicle: VehicleGeometry, *, refusal: Rejected) -> Rejected:
+    """Return why a drive was not found on the section: its gaps or its gyro may be to blame, else the match's reason."""
+    gap = longest_gap_s(trace.valid)
+    if gap > GAP_LIMIT_S or missing_frac(trace.valid) > MISSING_LIMIT_FRAC:
+        return Rejected(Reason.TOO_MANY_GAPS, f"longest gap {gap:.2f} s; {refusal.detail}")
+    whole = findings(trace, speed_mps, from_s=float(trace.time_s[0]), to_s=float(trace.time_s[-1]), vehicle=vehicle)
+    blamed = [finding for finding in whole if finding.grave and finding.sensor is Sensor.GYRO]
+    if blamed:
+        return Rejected(Reason.SENSOR_FAULT, f"{'; '.join(map(str, blamed))}; {refusal.detail}")
+    return refusal
 
 
 def _refusal(*, inside: BoolArray, valid: BoolArray, speed_mps: FloatArray) -> Rejected | None:
@@ -151,7 +172,9 @@ def _refusal(*, inside: BoolArray, valid: BoolArray, speed_mps: FloatArray) -> R
     return None
 
 
-def _quality(trace: Trace, match: SectionMatch, offsets: SensorOffsets, *, missing: bool) -> QualityFlag:
+def _quality(
+    trace: Trace, match: SectionMatch, offsets: SensorOffsets, *, missing: bool, gnss_poor: bool, doubtful: bool
+) -> QualityFlag:
     quality = trace.quality
     if match.method is not MatchMethod.GNSS:
         quality |= QualityFlag.NO_GNSS
@@ -159,6 +182,10 @@ def _quality(trace: Trace, match: SectionMatch, offsets: SensorOffsets, *, missi
         quality |= QualityFlag.OFFSETS_UNCERTAIN
     if missing:
         quality |= QualityFlag.SAMPLES_MISSING
+    if gnss_poor:
+        quality |= QualityFlag.GNSS_POOR
+    if doubtful:
+        quality |= QualityFlag.SENSORS_DOUBTFUL
     if trace.stability_active is not None and bool(trace.stability_active[match.inside(trace.time_s)].any()):
         quality |= QualityFlag.STABILITY_ACTIVE
     return quality

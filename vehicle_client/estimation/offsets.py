@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from roadgrip.units import SAMPLE_S
+from roadgrip.units import GRAVITY_MPS2, SAMPLE_S
 from vehicle_client.estimation.filters import smoothed
 
 if TYPE_CHECKING:
@@ -21,12 +21,17 @@ SPEED_MIN_MPS = 5.0
 WANDER_RAD = 0.008
 """How far the heading of a car that keeps its lane on a straight strays between two moments; one standard deviation."""
 CROSS_FALL_MPS2 = 0.2
-"""Gravity along the cross fall of an unmapped straight: 2 %."""
+"""Gravity along the cross fall of an unmapped straight: 2 %. The map's bank where the section starts does not tell it:
+a road turns its surface within some ten metres before a curve."""
+GRADE_MPS2 = 0.15
+"""Gravity along what the grade of an unmapped approach differs from the map's at its start: 1.5 %."""
+SPEED_NOISE_MPS = 0.05
+"""Of the smoothed speed at either end of the straight."""
 STEER_NOISE_RAD = 0.002
 
 PRIOR_YAW_RATE_STD_RADPS = 0.002
 """What is left after a calibration at standstill: 0.1 degrees per second."""
-PRIOR_ACCEL_Y_STD_MPS2 = 0.1
+PRIOR_ACCEL_STD_MPS2 = 0.1
 PRIOR_STEER_STD_RAD = 0.009
 UNCERTAIN_YAW_RATE_STD_RADPS = 0.0019
 """Hardly better than the prior: the summary is flagged."""
@@ -39,6 +44,8 @@ class SensorOffsets:
     Attributes:
         yaw_rate_radps: Of the gyro.
         yaw_rate_std_radps: How well it is known.
+        accel_x_mps2: Of the forward accelerometer.
+        accel_x_std_mps2: How well it is known.
         accel_y_mps2: Of the lateral accelerometer.
         accel_y_std_mps2: How well it is known.
         steer_rad: Of the steering angle.
@@ -48,6 +55,8 @@ class SensorOffsets:
 
     yaw_rate_radps: float
     yaw_rate_std_radps: float
+    accel_x_mps2: float
+    accel_x_std_mps2: float
     accel_y_mps2: float
     accel_y_std_mps2: float
     steer_rad: float
@@ -63,8 +72,10 @@ class SensorOffsets:
 NO_OFFSETS = SensorOffsets(
     yaw_rate_radps=0.0,
     yaw_rate_std_radps=PRIOR_YAW_RATE_STD_RADPS,
+    accel_x_mps2=0.0,
+    accel_x_std_mps2=PRIOR_ACCEL_STD_MPS2,
     accel_y_mps2=0.0,
-    accel_y_std_mps2=PRIOR_ACCEL_Y_STD_MPS2,
+    accel_y_std_mps2=PRIOR_ACCEL_STD_MPS2,
     steer_rad=0.0,
     steer_std_rad=PRIOR_STEER_STD_RAD,
     straight_s=0.0,
@@ -78,14 +89,18 @@ def sensor_offsets(
     speed_mps: FloatArray,
     approach: BoolArray,
     *,
+    accel_x_mps2: FloatArray,
+    climb_rad: float,
     wheelbase_m: float,
 ) -> SensorOffsets:
     """Return the offsets seen on the longest straight stretch of the approach, shrunk by how little it tells.
 
     On a straight the mean yaw rate is the gyro's offset plus a heading that wandered; the lateral force beyond the
-    centripetal one is the accelerometer's offset plus the cross fall of a road that no map describes; the steering
-    beyond what the yaw rate needs is the steering's offset. Each measurement is combined with a prior around zero,
-    both Gaussian, so a short straight corrects little. Zero stays zero and mirrored signals give mirrored offsets.
+    centripetal one is the lateral accelerometer's offset plus the cross fall of a road that no map describes; the
+    forward force beyond the change of speed is the forward accelerometer's offset plus a grade that is about the one
+    with which the map starts; the steering beyond what the yaw rate needs is the steering's offset. Each measurement is
+    combined with a prior around zero, both Gaussian, so a short straight corrects little, and an offset that cannot be
+    told from the road is corrected by a part only. Zero stays zero and mirrored signals give mirrored offsets.
 
     Args:
         accel_y_mps2: Specific force to the left. (n,)
@@ -93,6 +108,8 @@ def sensor_offsets(
         steer_rad: Mean angle of the front wheels. (n,)
         speed_mps: Forward. (n,)
         approach: True before the section starts, in samples that are not missing. (n,)
+        accel_x_mps2: Specific force forward. (n,)
+        climb_rad: Grade of the road where the map starts, as an angle, uphill positive.
         wheelbase_m: Front to rear axle.
     """
     if approach.sum() * SAMPLE_S < STRAIGHT_S_MIN or len(speed_mps) <= 30:
@@ -114,7 +131,13 @@ def sensor_offsets(
     accel_y, accel_y_std = _combined(
         float(np.mean(accel_y_mps2[here] - speed_mps[here] * turning)),
         measured_std=float(np.hypot(CROSS_FALL_MPS2, np.mean(speed_mps[here]) * yaw_rate_std)),
-        prior_std=PRIOR_ACCEL_Y_STD_MPS2,
+        prior_std=PRIOR_ACCEL_STD_MPS2,
+    )
+    gained = float(speed_mps[end - 1] - speed_mps[start]) / duration
+    accel_x, accel_x_std = _combined(
+        float(np.mean(accel_x_mps2[here])) - gained - GRAVITY_MPS2 * float(np.sin(climb_rad)),
+        measured_std=float(np.hypot(GRADE_MPS2, np.sqrt(2.0) * SPEED_NOISE_MPS / duration)),
+        prior_std=PRIOR_ACCEL_STD_MPS2,
     )
     lever = wheelbase_m / speed_mps[here]
     steer, steer_std = _combined(
@@ -125,6 +148,8 @@ def sensor_offsets(
     return SensorOffsets(
         yaw_rate_radps=yaw_rate,
         yaw_rate_std_radps=yaw_rate_std,
+        accel_x_mps2=accel_x,
+        accel_x_std_mps2=accel_x_std,
         accel_y_mps2=accel_y,
         accel_y_std_mps2=accel_y_std,
         steer_rad=steer,

@@ -128,6 +128,7 @@ def _inertial(
     signals = in_car_axes(trace, vehicle)
     signals = replace(
         signals,
+        accel_x_mps2=signals.accel_x_mps2 - offsets.accel_x_mps2,
         accel_y_mps2=signals.accel_y_mps2 - offsets.accel_y_mps2,
         yaw_rate_radps=signals.yaw_rate_radps - offsets.yaw_rate_radps,
     )
