@@ -1,0 +1,1 @@
+"""The process that runs in a car: sensors in, passages out, advice to the driver; `client.py` is the loop."""

@@ -1,0 +1,149 @@
+"""Where sensor values come from: one Protocol for a bus and for a recording that is played."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from vehicle_client.recording.channels import FIX_CHANNELS, SENSOR_COLUMNS, STABILITY_COLUMN, WHEEL_COLUMNS
+from vehicle_client.recording.series import Series
+
+if TYPE_CHECKING:
+    from vehicle_client.estimation.trace import GnssTrack, Trace
+    from vehicle_client.shell.can.live import CanSource
+    from vehicle_client.shell.live.ring import Readings
+
+
+class Source(Protocol):
+    """Values of sensors as they come. Nothing here waits."""
+
+    @property
+    def ended(self) -> bool:
+        """Whether nothing will come any more."""
+        ...
+
+    def now_s(self) -> float:
+        """Return the time on the clock that the values' times are on."""
+        ...
+
+    def wall_s(self, duration_s: float) -> float:
+        """Return how long a duration on that clock takes on the wall."""
+        ...
+
+    def take(self, *, until_s: float) -> Readings:
+        """Return what came since the last call; a recording gives what is not later than `until_s`."""
+        ...
+
+    def counts(self) -> dict[str, int]:
+        """Return what it counts about itself, such as frames that could not be read."""
+        ...
+
+    def close(self) -> None:
+        """Let go of the bus."""
+        ...
+
+
+class PlayedTrace:
+    """A recording that is played as if it happened now, so many times as fast."""
+
+    def __init__(self, trace: Trace, *, speedup_ratio: float = 1.0) -> None:
+        """Prepare; the clock starts with the first question for the time."""
+        self._trace = trace
+        self._speedup_ratio = speedup_ratio
+        self._start_s: float | None = None
+        self._taken_s = -np.inf
+        columns = {name: getattr(trace, name) for name in SENSOR_COLUMNS}
+        columns |= {name: trace.wheel_speed_mps[:, i] for i, name in enumerate(WHEEL_COLUMNS)}
+        if trace.stability_active is not None:
+            columns[STABILITY_COLUMN] = trace.stability_active.astype(np.float64)
+        self._series = {name: Series(trace.time_s[trace.valid], v[trace.valid]) for name, v in columns.items()}
+        self._series |= _fix_series(trace.gnss)
+
+    @property
+    def ended(self) -> bool:
+        """Whether everything was played."""
+        return self._taken_s >= float(self._trace.time_s[-1])
+
+    def now_s(self) -> float:
+        """Return how far the recording is played, on its own clock."""
+        if self._start_s is None:
+            self._start_s = time.monotonic()
+        return float(self._trace.time_s[0]) + (time.monotonic() - self._start_s) * self._speedup_ratio
+
+    def wall_s(self, duration_s: float) -> float:
+        """Return how long a duration in the recording takes on the wall."""
+        return duration_s / self._speedup_ratio
+
+    def take(self, *, until_s: float) -> Readings:
+        """Return what lies between the last call and a time."""
+        bounds = (self._taken_s, until_s)
+        self._taken_s = max(bounds)
+        came = {}
+        for name, series in self._series.items():
+            first, end = np.searchsorted(series.time_s, bounds, side="right")
+            if end > first:
+                came[name] = Series(series.time_s[first:end], series.values[first:end])
+        return came
+
+    def counts(self) -> dict[str, int]:
+        """Return nothing: a recording loses nothing."""
+        return {}
+
+    def close(self) -> None:
+        """Do nothing."""
+
+
+class LiveBus:
+    """A car's CAN bus, read by a thread of its own."""
+
+    def __init__(self, source: CanSource) -> None:
+        """Take a source that reads; its values' times are on the machine's monotonic clock."""
+        self._source = source
+
+    @property
+    def ended(self) -> bool:
+        """Whether the bus broke for good."""
+        return not self._source.alive
+
+    def now_s(self) -> float:
+        """Return the machine's monotonic clock."""
+        return time.monotonic()
+
+    def wall_s(self, duration_s: float) -> float:
+        """Return the duration."""
+        return duration_s
+
+    def take(self, *, until_s: float) -> Readings:  # noqa: ARG002 - a bus knows no future
+        """Return what came since the last call."""
+        times: dict[str, list[float]] = {}
+        values: dict[str, list[float]] = {}
+        for channel, time_s, value in self._source.poll():
+            times.setdefault(channel, []).append(time_s)
+            values.setdefault(channel, []).append(value)
+        return {name: Series(np.array(times[name]), np.array(values[name])) for name in times}
+
+    def counts(self) -> dict[str, int]:
+        """Return what the reader saw."""
+        counts = self._source.counts
+        return {
+            "can_frames": counts.frames_count,
+            "can_values_dropped": counts.dropped_count,
+            "can_errors": counts.errors_count,
+        }
+
+    def close(self) -> None:
+        """Stop the reader."""
+        self._source.close()
+
+
+def _fix_series(gnss: GnssTrack | None) -> dict[str, Series]:
+    if gnss is None:
+        return {}
+    columns = [gnss.lat_deg, gnss.lon_deg, gnss.accuracy_m, gnss.speed_mps]
+    return {
+        name: Series(gnss.time_s, values)
+        for name, values in zip(FIX_CHANNELS, columns, strict=True)
+        if values is not None
+    }
