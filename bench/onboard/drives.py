@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
-from itertools import count, islice
+from dataclasses import dataclass, replace
+from itertools import islice
 
 from roadgrip.records import Rejected
 from roadgrip.section import RoadSection
@@ -68,9 +68,28 @@ def completed_drives(
     """
     terms = study_terms(grade)
     road_map = surveyed_map(terms, scenario.section)
-    runs = (run_of(terms, scenario, base_friction_mu=base_friction_mu, number=number) for number in count())
-    runs_tried = list(islice(runs, ATTEMPTS_PER_DRIVE_COUNT * drives_count))
-    drives = each_passage(scenario.section, (run.plan for run in runs_tried))
-    came_through = ((run, drive) for run, drive in zip(runs_tried, drives, strict=False) if drive.completed)
+    numbers = range(ATTEMPTS_PER_DRIVE_COUNT * drives_count)
+    runs = [run_of(terms, scenario, base_friction_mu=base_friction_mu, number=number) for number in numbers]
+    drives = each_passage(scenario.section, (run.plan for run in runs))
+    came_through = ((run, drive) for run, drive in zip(runs, drives, strict=True) if drive.completed)
     for run, drive in islice(came_through, drives_count):
         yield Watched(run, drive, road_map, summarise_passage(drive.trace, road_map, vehicle=run.geometry))
+
+
+def attempted_drives(
+    scenario: Scenario, grade: SensorGrade, *, base_friction_mu: float, drives_count: int
+) -> Iterator[tuple[Run, Drive, RoadSection]]:
+    """Yield the first so many drives of a cell however they end, all with position fixes, and the vehicles' map.
+
+    Args:
+        scenario: Of the cell.
+        grade: Which sensors watch.
+        base_friction_mu: Of the cell.
+        drives_count: How many.
+    """
+    terms = study_terms(grade)
+    road_map = surveyed_map(terms, scenario.section)
+    runs = [run_of(terms, scenario, base_friction_mu=base_friction_mu, number=number) for number in range(drives_count)]
+    plans = (replace(run.plan, with_gnss=True) for run in runs)
+    for run, drive in zip(runs, each_passage(scenario.section, plans), strict=True):
+        yield run, drive, road_map

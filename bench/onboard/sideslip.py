@@ -9,7 +9,7 @@ from typing import Any
 from bench.onboard.agreement import Agreement, agreement, gain_by_frequency, pooled
 from bench.onboard.drives import GRADES, SEED, Watched, completed_drives, study_scenarios
 from bench.onboard.sideslip_view import TABLES, draw_errors, draw_gain
-from bench.onboard.variants import STEADY, VARIANTS, steadied_sideslip_rad, varied_signals
+from bench.onboard.variants import VARIANTS, varied_signals
 from roadgrip.records import Rejected
 from roadgrip.units import FloatArray
 from training.designs import BASE_FRICTIONS_MU
@@ -113,8 +113,6 @@ def _cell(scenario: Scenario, grade: SensorGrade, base_friction_mu: float) -> _G
         for name, variant in VARIANTS.items():
             estimate = varied_signals(watched, watched.result, variant, section=scenario.section).sideslip_rad
             cell.by_variant.setdefault(name, []).append(agreement(estimate[inside], truth[inside]))
-        estimate = steadied_sideslip_rad(watched, watched.result.signals)
-        cell.by_variant.setdefault(STEADY, []).append(agreement(estimate[inside], truth[inside]))
     return cell
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from bench.marked_tables import table
 from bench.onboard.drives import GRADES, SCENARIO_WORDS
-from bench.onboard.variants import STEADY, STEADY_WORDS, VARIANTS
+from bench.onboard.variants import VARIANTS
 from bench.validation.picture import (
     FOURTH,
     OURS,
@@ -41,7 +41,7 @@ def draw_errors(grades: Mapping[str, Any], folder: Path) -> str:
             error, spread = _degrees(some, "rms_error_rad"), _degrees(some, "rms_error_standard_error_rad")
             panel.fill_between(friction, error - 2.0 * spread, error + 2.0 * spread, color=colour, alpha=0.15, lw=0)
             line(panel, friction, error, colour)
-        for variant, colour in (("f_zero", THEORY), (STEADY, FOURTH)):
+        for variant, colour in (("pull_to_zero", THEORY), ("softer_tyres", FOURTH)):
             values = np.degrees([cell["variants_rms_error_rad"][variant] for cell in cells])
             line(panel, friction, values, colour, linewidth=1.1, linestyle="--")
         panel.set_ylim(0.0, None)
@@ -52,8 +52,8 @@ def draw_errors(grades: Mapping[str, Any], folder: Path) -> str:
         ("claiming that there is none", QUIET),
         ("estimate, automotive sensors (band: 2 standard errors)", OURS),
         ("estimate, ideal sensors", THIRD),
-        ("F = 0, automotive", THEORY),
-        (f"{STEADY_WORDS}, automotive", FOURTH),
+        ("F pulls to zero as in the paper, automotive", THEORY),
+        ("rear tyres taken for 30 % softer, automotive", FOURTH),
         top=0.97,
     )
     return write(figure, folder, "sideslip")
@@ -137,7 +137,7 @@ def _variants_table(figures: Mapping[str, Any]) -> str:
             for name in SCENARIO_WORDS
         ]
 
-    words = {name: variant.words for name, variant in VARIANTS.items()} | {STEADY: STEADY_WORDS}
+    words = {name: variant.words for name, variant in VARIANTS.items()}
     rows = [["**as it is**", *cells(lambda found: found["all_frictions"]["sideslip"])]]
     rows += [[text, *cells(lambda found, name=name: found["variants"][name])] for name, text in words.items()]  # type: ignore[misc]
     return table(("error, °: automotive / ideal", *SCENARIO_WORDS.values()), rows)

@@ -9,14 +9,7 @@ import numpy as np
 
 from bench.onboard.drives import Watched
 from roadgrip.section import RoadSection, build_section
-from roadgrip.units import FloatArray
-from vehicle_client.estimation.filters import smoothed
-from vehicle_client.estimation.observer import (
-    PAPER_PARAMETERS,
-    ObserverParameters,
-    observed_velocity_mps,
-    sideslip_rad,
-)
+from vehicle_client.estimation.observer import PAPER_PARAMETERS, ObserverParameters
 from vehicle_client.estimation.offsets import NO_OFFSETS
 from vehicle_client.estimation.signals import kinematic_signals
 from vehicle_client.estimation.summary import KinematicSignals
@@ -69,18 +62,26 @@ def without_bank(section: RoadSection) -> RoadSection:
     )
 
 
+PULL_TO_ZERO = replace(PAPER_PARAMETERS, grip_pull_ratio=0.0)
+"""As the paper has it: on what it takes for a straight, F pulls the lateral velocity to zero."""
+
+
+def of_another_car(factor: float) -> ObserverParameters:
+    """Return the constants with the slip gradient of the rear axle wrong by a factor."""
+    return replace(PAPER_PARAMETERS, rear_slip_gradient_s2pm=factor * PAPER_PARAMETERS.rear_slip_gradient_s2pm)
+
+
 VARIANTS: Mapping[str, Variant] = {
-    "f_zero": Variant("F = 0: nothing pulls the lateral velocity to zero", with_widths(PAPER_PARAMETERS, 1e-6)),
-    "f_one": Variant("F = 1: it is always pulled", with_widths(PAPER_PARAMETERS, 1e6)),
+    "pull_to_zero": Variant("F pulls to zero, as in the paper", PULL_TO_ZERO),
+    "f_zero": Variant("F = 0: nothing is pulled", with_widths(PAPER_PARAMETERS, 1e-6)),
+    "f_one": Variant("F = 1: pulled all the time", with_widths(PAPER_PARAMETERS, 1e6)),
+    "f_one_to_zero": Variant("F = 1, to zero", with_widths(PULL_TO_ZERO, 1e6)),
+    "stiffer_tyres": Variant("rear tyres taken for 30 % stiffer than they are", of_another_car(0.7)),
+    "softer_tyres": Variant("rear tyres taken for 30 % softer than they are", of_another_car(1.3)),
     "no_offsets": Variant("no offsets subtracted", with_offsets=False),
     "no_bank": Variant("a map without bank", map_of=lambda watched, _: without_bank(watched.road_map)),
     "true_map": Variant("a map without error", map_of=lambda _, section: section),
 }
-STEADY = "steady"
-STEADY_WORDS = "F pulls to the sideslip of this car in a steady bend"
-REAR_COMPLIANCE_S2PM = 0.007
-"""Rear slip angle per lateral acceleration while the tyres are far from their limit, of the simulated car: its rear
-tyres give 15 times their load per radian."""
 
 
 def varied_signals(watched: Watched, result: Summarised, variant: Variant, *, section: RoadSection) -> KinematicSignals:
@@ -100,26 +101,3 @@ def varied_signals(watched: Watched, result: Summarised, variant: Variant, *, se
         parameters=variant.parameters,
         offsets=result.offsets if variant.with_offsets else NO_OFFSETS,
     )
-
-
-def steadied_sideslip_rad(watched: Watched, signals: KinematicSignals) -> FloatArray:
-    """Return the sideslip of an observer whose F pulls to that of a steady bend, on this car's tyres, not to zero. (n,)
-
-    In a steady bend far from the limit the rear axle runs along its circle but for the slip angle that its tyres need:
-    V_y = b_rear omega_z - c V A_y. The observer is linear in its inputs, so what F times that adds is its answer to
-    that input alone.
-    """
-    car, zero = watched.run.geometry, np.zeros_like(signals.yaw_rate_radps)
-    accel_y = signals.yaw_rate_radps * signals.speed_mps
-    steady = (
-        car.wheelbase_m - car.front_axle_m
-    ) * signals.yaw_rate_radps - REAR_COMPLIANCE_S2PM * signals.speed_mps * accel_y
-    _, added = observed_velocity_mps(
-        zero,
-        signals.straightness_1ps * steady,
-        signals.yaw_rate_radps,
-        zero,
-        signals.straightness_1ps,
-        parameters=PAPER_PARAMETERS,
-    )
-    return sideslip_rad(signals.velocity_x_mps, signals.velocity_y_mps + smoothed(added))
