@@ -26,7 +26,7 @@ PLACES := roadgrip rsu_app vehicle_client training migrations tests bench deploy
 CODE := $(foreach place,$(PLACES),$(if $(shell find $(place) -name '*.py' -print -quit 2>/dev/null),$(place)))
 
 .PHONY: help setup demo real-input test test-long test-fast coverage check format-check format lint types contracts bench lock \
-        simulator-validation simulator-speed onboard-accuracy \
+        simulator-validation simulator-speed onboard-speed onboard-accuracy \
         bundle paper-design wheel hooks clean
 
 help: ## List the chores
@@ -91,7 +91,7 @@ contracts: $(STAMP) ## import-linter: which package may know which
 
 bench: $(STAMP) ## Run the benchmarks; each prints a table and writes JSON
 	@shopt -s nullglob; found=0; \
-	for script in bench/bench_*.py; do found=1; echo "== $$script"; $(BIN)/python "$$script" $(ARGS); done; \
+	for script in bench/bench_*.py bench/onboard_speed.py; do found=1; echo "== $$script"; $(BIN)/python "$$script" $(ARGS); done; \
 	test $$found = 1 || echo "no benchmarks yet"
 
 simulator-validation: $(STAMP) ## Remake docs/simulator-validation.md: pictures, figures, tables (ARGS="tyre limits": some chapters)
@@ -99,6 +99,9 @@ simulator-validation: $(STAMP) ## Remake docs/simulator-validation.md: pictures,
 
 onboard-accuracy: $(STAMP) ## Remake docs/onboard-accuracy.md: what the onboard client is worth (ARGS="sideslip": some chapters)
 	@$(BIN)/python -m bench.onboard_accuracy $(ARGS)
+
+onboard-speed: $(STAMP) ## Measure what the onboard client costs a car; docs/results/onboard/speed.json, tables in docs/vehicle.md
+	@$(BIN)/python bench/onboard_speed.py $(ARGS)
 
 simulator-speed: $(STAMP) ## Measure the simulator beside the CommonRoad multi-body model; writes docs/results/simulator/speed.json
 	@$(BIN)/python -m bench.simulator_speed $(ARGS)
