@@ -17,7 +17,7 @@ from vehicle_client.recording.resampling import trace_of_samples
 from vehicle_client.shell.sources import read_recording, read_trace_csv, write_trace_csv
 
 TRACE, STATION = drive_over(s_turn)
-ARRAYS = [f.name for f in fields(Trace) if f.name not in {"gnss", "quality", "stability_active"}]
+ARRAYS = [f.name for f in fields(Trace) if f.name not in {"gnss", "quality", "stability_active", "absent"}]
 
 
 def rows(count=400, *, rate_hz=100.0):

@@ -11,7 +11,7 @@ from roadgrip.errors import TraceError
 from roadgrip.records import QualityFlag
 from vehicle_client.estimation.vehicle_geometry import XC90, VehicleGeometry
 from vehicle_client.recording.channels import CHANNELS, WHEEL_COLUMNS
-from vehicle_client.recording.resampling import trace_of_samples
+from vehicle_client.recording.resampling import repeated_count, trace_of_samples
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -61,11 +61,13 @@ class Recording:
         trace: The sensors.
         reference: What reference instruments saw, on the samples of the trace. Each (n,)
         missing: Channels that the recording lacks and that read zero in the trace, or come from a reference.
+        repeated_count: Rows or values that gave way to a later one with the same time.
     """
 
     trace: Trace
     reference: Mapping[str, FloatArray]
     missing: tuple[str, ...]
+    repeated_count: int = 0
 
 
 def recording_of_columns(columns: Mapping[str, FloatArray], mapping: ColumnMapping, *, place: str) -> Recording:
@@ -103,6 +105,7 @@ def recording_of_columns(columns: Mapping[str, FloatArray], mapping: ColumnMappi
         trace=trace,
         reference={name: np.interp(trace.time_s, time[known], of[known]) for name, of in reference.items()},
         missing=missing,
+        repeated_count=repeated_count(time),
     )
 
 

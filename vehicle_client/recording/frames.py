@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping
 
     from roadgrip.units import BoolArray, FloatArray
     from vehicle_client.recording.bit_fields import BitField, PayloadArray, RawArray
@@ -48,11 +48,19 @@ class FrameLayout:
 
     Attributes:
         message: Name in the DBC.
+        frame_id: Its identifier there.
+        extended: Whether that has 29 bits.
+        bytes_count: Of its frames.
         signals: In the order of the mapping.
+        bus: Where it is to be read from; any bus if empty.
     """
 
     message: str
+    frame_id: int
+    extended: bool
+    bytes_count: int
     signals: tuple[FrameSignal, ...]
+    bus: str = ""
 
 
 def values_of_frame(layout: FrameLayout, data: bytes) -> Iterator[tuple[SignalSource, float]]:
@@ -101,6 +109,28 @@ def values_of_frames(
         else:
             values = signal.source.converted(signal.bits.values_of_raws(raws))
         yield signal.source, at_s, np.where(known & np.isfinite(values), values, np.nan)
+
+
+def frames_of_values(layout: FrameLayout, values: Mapping[str, FloatArray]) -> PayloadArray:
+    """Return frames that say the channels of a message; what is NaN is said to be invalid. (n, bytes)
+
+    The other direction of `values_of_frames`, within half a step of each signal; what a signal cannot hold is clipped.
+
+    Args:
+        layout: The message; each of its signals that may be NaN must have an invalid value.
+        values: By channel, of one length. Each (n,)
+    """
+    count = len(next(iter(values.values())))
+    payloads = np.zeros((count, layout.bytes_count), dtype=np.uint8)
+    for signal in layout.signals:
+        ours = values[signal.source.channel]
+        known = np.isfinite(ours)
+        theirs = signal.source.inverted(np.where(known, ours, 0.0))
+        raws = signal.bits.raws_of_values(theirs)
+        if signal.invalid_raws:
+            raws = np.where(known, raws, np.uint64(max(signal.invalid_raws)))
+        signal.bits.put_raws(payloads, raws)
+    return payloads
 
 
 def _all_among(conditions: tuple[tuple[BitField, frozenset[int]], ...], payloads: PayloadArray) -> BoolArray:

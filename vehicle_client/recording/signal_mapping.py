@@ -124,6 +124,14 @@ class SignalSource:
             ours = np.interp(ours, wheel, road)
         return ours
 
+    def inverted(self, values: FloatArray) -> FloatArray:
+        """Return our values as theirs. (n,)"""
+        theirs = values
+        if self.steering_table_rad:
+            wheel, road = np.array(self.steering_table_rad).T
+            theirs = np.interp(theirs, road, wheel)
+        return (theirs - self.zero_value) / self.gain
+
 
 @dataclass(frozen=True, slots=True)
 class SignalMapping:
@@ -259,14 +267,16 @@ def _source(name: str, file: Mapping[str, Any], *, place: str) -> SignalSource:
         if key in table:
             raise ConfigurationError(f"{place}: {key} means nothing here; it is found by {' and '.join(needed)}")
     factor, table_rad = _factor(name, table, file, place=place)
-    gain = _number(table, "gain", 1.0, place=place) * factor
+    gain = _number(table, "gain", 1.0, place=place)
+    if gain == 0.0:
+        raise ConfigurationError(f"{place} gain: it must not be zero")
     valid_signal, valid_values = _validity(table, place=place)
     return SignalSource(
         table=name,
         channel=channel,
         message=table.get("message", ""),
         signal=table[needed[-1]],
-        gain=gain,
+        gain=gain * factor,
         zero_value=_number(table, "offset", 0.0, place=place) * factor,
         delay_s=_number(table, "delay_s", 0.0, place=place),
         bus=str(table.get("bus", file.get("bus", ""))),

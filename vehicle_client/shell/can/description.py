@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import cantools
@@ -14,7 +16,6 @@ from vehicle_client.recording.signal_mapping import ALL_BITS_SET, checked_agains
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
-    from pathlib import Path
 
     from vehicle_client.recording.signal_mapping import SignalMapping, SignalSource, Word
 
@@ -78,6 +79,15 @@ def read_signals(path: Path) -> SignalMapping:
     return signal_mapping_of_toml(text, place=str(path))
 
 
+EXAMPLE = "example"
+"""Names the packaged mapping of a made-up car, whose DBC the simulator's drives are written with."""
+
+
+def path_of_signals(name: str) -> Path:
+    """Return where a mapping is: a path, or the packaged one if it is called `example`."""
+    return Path(str(files("vehicle_client.shell.can") / "example" / "signals.toml")) if name == EXAMPLE else Path(name)
+
+
 def read_can_mapping(path: Path) -> CanMapping:
     """Return a signal mapping with what its DBC, which it finds beside it, says.
 
@@ -87,6 +97,15 @@ def read_can_mapping(path: Path) -> CanMapping:
     mapping = read_signals(path)
     if not mapping.dbc:
         raise ConfigurationError(f"{path}: says no dbc, which CAN frames need")
+    return can_mapping_at(mapping, path)
+
+
+def can_mapping_at(mapping: SignalMapping, path: Path) -> CanMapping:
+    """Return a signal mapping that was read from a path with what its DBC, which lies beside it, says.
+
+    Raises:
+        ConfigurationError: The DBC cannot be read, or they do not fit each other; the message says where.
+    """
     dbc = path.parent / mapping.dbc
     try:
         database: Any = cantools.database.load_file(dbc, strict=False)
@@ -106,12 +125,12 @@ def can_mapping_of(mapping: SignalMapping, database: Any, *, dbc: str) -> CanMap
     messages = {message.name: message for message in database.messages}
     checked_against(mapping, {name: [s.name for s in of.signals] for name, of in messages.items()}, dbc=dbc)
     wanted: dict[FrameKey, dict[str, list[FrameSignal]]] = {}
-    names: dict[FrameKey, str] = {}
+    described: dict[FrameKey, Any] = {}
     for source in mapping.sources:
         message = messages[source.message]
         frame_id = _parameter_group(message.frame_id) if mapping.j1939 else message.frame_id
         key = FrameKey(frame_id, bool(message.is_extended_frame))
-        names[key] = message.name
+        described[key] = message
         signals = {signal.name: signal for signal in message.signals}
         wanted.setdefault(key, {}).setdefault(source.bus, []).append(
             _frame_signal(source, signals, place=f"{mapping.place} [{source.table}]")
@@ -119,7 +138,17 @@ def can_mapping_of(mapping: SignalMapping, database: Any, *, dbc: str) -> CanMap
     return CanMapping(
         mapping,
         {
-            key: {bus: FrameLayout(names[key], tuple(signals)) for bus, signals in by_bus.items()}
+            key: {
+                bus: FrameLayout(
+                    message=described[key].name,
+                    frame_id=described[key].frame_id,
+                    extended=key.extended,
+                    bytes_count=described[key].length,
+                    signals=tuple(signals),
+                    bus=bus,
+                )
+                for bus, signals in by_bus.items()
+            }
             for key, by_bus in wanted.items()
         },
     )
