@@ -40,7 +40,7 @@ def levelled(signals: InertialSignals, vehicle: VehicleGeometry) -> InertialSign
     """
     if vehicle.imu_roll_rad == vehicle.imu_pitch_rad == vehicle.imu_yaw_rad == 0.0:
         return signals
-    turn = _rotation(roll_rad=vehicle.imu_roll_rad, pitch_rad=vehicle.imu_pitch_rad, yaw_rad=vehicle.imu_yaw_rad)
+    turn = mounting_rotation(vehicle)
     # The sensor's own vertical reading is not recorded; it is what makes the car's vertical specific force g.
     up = (GRAVITY_MPS2 - turn[2, 0] * signals.accel_x_mps2 - turn[2, 1] * signals.accel_y_mps2) / turn[2, 2]
     force = turn @ np.vstack([signals.accel_x_mps2, signals.accel_y_mps2, up])
@@ -72,11 +72,11 @@ def at_centre_of_gravity(
     )
 
 
-def _rotation(*, roll_rad: float, pitch_rad: float, yaw_rad: float) -> FloatArray:
+def mounting_rotation(vehicle: VehicleGeometry) -> FloatArray:
     """Return the matrix that takes components along the sensor's axes to components along the car's. (3, 3)"""
-    cr, sr = np.cos(roll_rad), np.sin(roll_rad)
-    cp, sp = np.cos(pitch_rad), np.sin(pitch_rad)
-    cy, sy = np.cos(yaw_rad), np.sin(yaw_rad)
+    cr, sr = np.cos(vehicle.imu_roll_rad), np.sin(vehicle.imu_roll_rad)
+    cp, sp = np.cos(vehicle.imu_pitch_rad), np.sin(vehicle.imu_pitch_rad)
+    cy, sy = np.cos(vehicle.imu_yaw_rad), np.sin(vehicle.imu_yaw_rad)
     about_x = np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])
     about_y = np.array([[cp, 0.0, sp], [0.0, 1.0, 0.0], [-sp, 0.0, cp]])
     about_z = np.array([[cy, -sy, 0.0], [sy, cy, 0.0], [0.0, 0.0, 1.0]])

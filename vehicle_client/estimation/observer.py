@@ -59,7 +59,7 @@ class ObserverParameters:
     sigma_sideslip_accel_radps2: float = 0.3
     rear_slip_gradient_s2pm: float = 0.0075
     grip_pull_ratio: float = 1.0
-    roll_crossover_hz: float = 0.05
+    roll_crossover_hz: float = 0.06
     lowpass: LowPass = LowPass.HAMMING_FIR
 
 

@@ -27,7 +27,8 @@ GRADE_MPS2 = 0.15
 """Gravity along what the grade of an unmapped approach differs from the map's at its start: 1.5 %."""
 SPEED_NOISE_MPS = 0.05
 """Of the smoothed speed at either end of the straight."""
-STEER_NOISE_RAD = 0.002
+STEER_NOISE_RAD = 0.001
+"""Steps of the sensor, and what holds the car against a cross fall."""
 
 PRIOR_YAW_RATE_STD_RADPS = 0.002
 """What is left after a calibration at standstill: 0.1 degrees per second."""

@@ -67,6 +67,8 @@ def kinematic_signals(
 
     speed = speed_given(np.zeros_like(yaw_rate))
     gripping = gripping_velocity_y_mps(accel_y, yaw_rate, speed, rear_axle_m=vehicle.rear_axle_m, parameters=parameters)
+    # The front wheels roll partly sideways: with about the right lateral velocity the encoders tell a better speed.
+    speed = speed_given(gripping)
     roll = chassis_roll_rad(
         accel_y,
         yaw_rate,
@@ -81,8 +83,6 @@ def kinematic_signals(
     rate = sideslip_rate_radps(road_accel_y, yaw_rate, speed, lowpass=lowpass)
     straight = straightness_1ps(yaw_rate, steer, rate, parameters=parameters)
 
-    # The front wheels roll partly sideways: with about the right lateral velocity the encoders tell a better speed.
-    speed = speed_given(gripping)
     velocity_x, velocity_y = two_way_velocity_mps(
         accel_x,
         road_accel_y,
@@ -96,7 +96,7 @@ def kinematic_signals(
     return KinematicSignals(
         steer_rad=steer,
         sideslip_rad=sideslip_rad(velocity_x, velocity_y),
-        sideslip_rate_radps=sideslip_rate_radps(road_accel_y, yaw_rate, speed, lowpass=lowpass),
+        sideslip_rate_radps=rate,
         yaw_rate_excess_radps=yaw_rate_excess_radps(
             yaw_rate, speed, steer, wheelbase_m=vehicle.wheelbase_m, track_m=vehicle.track_m
         ),
