@@ -10,6 +10,7 @@ Four steps (simulate, fit, export, bundle), each leaving its result on disk, or 
     roadgrip-train bundle build/runs --fit build/fit --out build/bundle
 
     roadgrip-train default-bundle                     remake the bundle that comes with roadgrip
+    roadgrip-train tune-observer                      fit the onboard estimation to a vehicle
 """
 
 from __future__ import annotations
@@ -47,6 +48,7 @@ from training.cli_designs import (
     simulate,
     title_of,
 )
+from training.cli_tune import tune_observer
 from training.dataset import Runs, read_runs
 from training.designs import Size, named_design
 from training.fit_parameters import FitParameters
@@ -97,6 +99,7 @@ RunsFolder = Annotated[Path, typer.Argument(help="Folder of Parquet shards, or o
 app.command()(simulate)
 app.command()(designs)
 app.command()(cells)
+app.command()(tune_observer)
 
 
 @app.command(name="fit")
