@@ -148,7 +148,7 @@ def _rough_speed_mps(trace: Trace, *, vehicle: VehicleGeometry, parameters: Obse
 
 
 def _not_found(trace: Trace, speed_mps: FloatArray, vehicle: VehicleGeometry, *, refusal: Rejected) -> Rejected:
-    """Return why a drive was not found on the section: its gaps or its gyro may be to blame, else the match's reason."""
+    """Return why a drive was not found: its gaps or its gyro may be to blame, else what the match says."""
     gap = longest_gap_s(trace.valid)
     if gap > GAP_LIMIT_S or missing_frac(trace.valid) > MISSING_LIMIT_FRAC:
         return Rejected(Reason.TOO_MANY_GAPS, f"longest gap {gap:.2f} s; {refusal.detail}")

@@ -63,6 +63,8 @@ class Trace:
         stability_active: True while ABS, traction control or ESC intervene, where the vehicle reports it.
         gnss: Position fixes, if the vehicle has any.
         quality: What is known about the recording beforehand, such as a speed that comes from a reference instrument.
+        absent: Names of the channels that the car or the recording lacks, such as `roll_rate_radps`; they read zero, or
+            are made of others. Nobody calls them faulty.
     """
 
     time_s: FloatArray
@@ -76,6 +78,7 @@ class Trace:
     stability_active: BoolArray | None = None
     gnss: GnssTrack | None = None
     quality: QualityFlag = QualityFlag.NONE
+    absent: tuple[str, ...] = ()
 
     @property
     def samples_count(self) -> int:
@@ -164,4 +167,5 @@ def mirrored(trace: Trace) -> Trace:
         stability_active=trace.stability_active,
         gnss=None,
         quality=trace.quality,
+        absent=trace.absent,
     )

@@ -22,12 +22,20 @@ APART_LIMIT_M = 15.0
 """A fix may lie so far from where the vehicle is on the map; two lanes and a few metres of receiver and odometer."""
 AGREEING_MIN_FRAC = 0.7
 """So many fixes must lie that near."""
+AGREEING_WELL_FRAC = 0.9
+ACCURACY_POOR_M = 10.0
+SILENT_LIMIT_S = 2.5
+USED_MIN_FRAC = 0.8
+MOVED_M = 1.0
+"""Farther than this between two fixes, and the second must differ from the first."""
 NEAR_M = 40.0
 """Fixes farther than this from the centre line are not on it."""
 BEYOND_M = 60.0
 """How far the road is continued straight beyond its ends."""
 EDGE_TOLERANCE_M = 8.0
 FIXES_MIN_COUNT = 5
+UNSEEN_LIMIT_FRAC = 0.7
+"""Without a fix for so much of the section's length, a passage may have gone unseen."""
 COVERAGE_MIN_FRAC = 0.3
 """Dropouts are bridged, but the fixes must span this share of the section."""
 SCALE_STD_RATIO = 0.01
@@ -67,7 +75,7 @@ def match_by_gnss(
     Raises:
         SectionError: The section's anchors cannot be used.
     """
-    good = _good(gnss) & (gnss.time_s >= time_s[0]) & (gnss.time_s <= time_s[-1])
+    good = live_fixes(gnss, line, time_s)
     if good.sum() < FIXES_MIN_COUNT:
         return None
     length, profile = section.length_m, section.profile
@@ -78,6 +86,10 @@ def match_by_gnss(
     near = _one_pass(near, station, travelled)
     within = near & (station >= 0.0) & (station <= length)
     if within.sum() < FIXES_MIN_COUNT:
+        ends = line.distance_m[[0, -1]]
+        unseen = float(np.diff(np.concatenate([ends[:1], travelled, ends[1:]])).max())
+        if within.any() or unseen > UNSEEN_LIMIT_FRAC * length:
+            return None
         return Rejected(Reason.WRONG_ROAD, "the fixes stay away from the section")
     if float(np.polyfit(travelled[near] - travelled[near].mean(), station[near], 1)[0]) < -TREND_MIN_RATIO:
         return Rejected(Reason.WRONG_ROAD, "driven against the direction of the section")
@@ -122,9 +134,41 @@ def _refusal(
     return None
 
 
+def live_fixes(gnss: GnssTrack, line: DrivenLine, time_s: FloatArray) -> BoolArray:
+    """Return which fixes lie within the trace, are good by their own word, and are not the last one again. (k,)
+
+    A receiver that lost the satellites may repeat its last position, bit for bit, while the wheels turn.
+    """
+    good: BoolArray = _good(gnss) & (gnss.time_s >= time_s[0]) & (gnss.time_s <= time_s[-1])
+    same = (np.diff(gnss.lat_deg) == 0.0) & (np.diff(gnss.lon_deg) == 0.0)
+    if same.any():
+        moved = np.diff(np.interp(gnss.time_s, time_s, line.distance_m)) > MOVED_M
+        good[1:] &= ~(same & moved)
+    return good
+
+
+def poor_along(gnss: GnssTrack, line: DrivenLine, time_s: FloatArray, match: SectionMatch) -> bool:
+    """Return whether the fixes along a matched section are sparse, inaccurate by their own word, or disagree.
+
+    That is: more than 2.5 s without a fix that can be used, more than a fifth of them unusable, a median accuracy
+    over 10 m, or more than a tenth that lie elsewhere than the odometer says.
+    """
+    along = (gnss.time_s >= match.entry_s) & (gnss.time_s <= match.exit_s)
+    used = along & live_fixes(gnss, line, time_s)
+    times = np.concatenate([[match.entry_s], gnss.time_s[used], [match.exit_s]])
+    if not used.any() or float(np.diff(times).max()) > SILENT_LIMIT_S:
+        return True
+    return (
+        int(used.sum()) < USED_MIN_FRAC * int(along.sum())
+        or float(np.median(gnss.accuracy_m[used])) > ACCURACY_POOR_M
+        or match.confidence_frac < AGREEING_WELL_FRAC
+    )
+
+
 def _good(gnss: GnssTrack) -> BoolArray:
     finite = np.isfinite(gnss.lat_deg) & np.isfinite(gnss.lon_deg) & np.isfinite(gnss.time_s)
-    return finite & (gnss.accuracy_m <= ACCURACY_LIMIT_M)
+    on_earth = (np.abs(gnss.lat_deg) <= 90.0) & (np.abs(gnss.lon_deg) <= 180.0)
+    return finite & on_earth & (gnss.accuracy_m >= 0.0) & (gnss.accuracy_m <= ACCURACY_LIMIT_M)
 
 
 def _projected(x_m: FloatArray, y_m: FloatArray, profile: SectionProfile) -> tuple[FloatArray, FloatArray]:

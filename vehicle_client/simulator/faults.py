@@ -30,6 +30,12 @@ SHORT_GAP_S = 0.2
 LONG_GAP_S = 0.6
 GNSS_GAP_S = 5.0
 GNSS_JUMP_M = 30.0
+GNSS_BIAS_M = 40.0
+GNSS_DRIFT_MPS = 3.0
+GNSS_SPARSE_S = 5.0
+GNSS_LATE_S = 1.0
+GNSS_SPEED_DRIFT_MPS2 = 0.5
+SLOW_RATIO = 0.95
 CLOCK_JUMP_S = 2.0
 _METRES_PER_DEG = 111_320.0
 
@@ -51,8 +57,16 @@ class Fault(StrEnum):
     """The yaw rate has the wrong sign throughout."""
     ACCEL_SATURATED = "accel_saturated"
     """The lateral accelerometer reads the end of its range, 1.8 g, from a moment on."""
+    ACCEL_DEAD = "accel_dead"
+    """The lateral accelerometer reads zero throughout."""
     STEERING_OFFSET_JUMP = "steering_offset_jump"
     """The steering angle is off by 0.02 rad from a moment on."""
+    STEERING_FROZEN = "steering_frozen"
+    """The steering angle keeps its value from a moment on."""
+    WHEEL_SLOW = "wheel_slow"
+    """The front left wheel speed reads 5 % too little throughout: a wrong tyre."""
+    ALL_WHEELS_SLOW = "all_wheels_slow"
+    """All wheel speeds read 5 % too little throughout: a wrong rolling radius."""
     SHORT_GAP = "short_gap"
     """No samples for 0.2 s."""
     LONG_GAP = "long_gap"
@@ -71,12 +85,24 @@ class Fault(StrEnum):
     """No position fixes for 5 s."""
     GNSS_JUMP = "gnss_jump"
     """Position fixes lie 30 m further north from a moment on, and do not say so."""
+    GNSS_BIAS = "gnss_bias"
+    """Position fixes lie 40 m further north throughout, and do not say so."""
+    GNSS_DRIFT = "gnss_drift"
+    """Position fixes wander off from a moment on, by 3 m/s to the north."""
+    GNSS_FROZEN = "gnss_frozen"
+    """The receiver repeats its last position from a moment on."""
+    GNSS_SPARSE = "gnss_sparse"
+    """One fix in five seconds, throughout."""
+    GNSS_LATE = "gnss_late"
+    """Position fixes carry the time one second after theirs."""
+    GNSS_SPEED_DRIFT = "gnss_speed_drift"
+    """The receiver's speed, not its position, is 0.5 m/s more with every second from a moment on."""
 
 
 CLOCK_FAULTS = frozenset({Fault.DUPLICATED_SAMPLES, Fault.CLOCK_JUMPS_AHEAD, Fault.CLOCK_JUMPS_BACK})
 """After these the samples are not 10 ms apart: the onboard client refuses the trace as it is (TraceError). What reads
 recordings puts samples on the grid first, and so must who wants to see further."""
-GNSS_FAULTS = frozenset({Fault.GNSS_GAP, Fault.GNSS_JUMP})
+GNSS_FAULTS = frozenset(fault for fault in Fault if fault.value.startswith("gnss"))
 """These change nothing in a trace without position fixes."""
 
 
@@ -131,6 +157,14 @@ def _with_channel_fault(trace: Trace, fault: Fault, at: int) -> Trace:
             yaw_rate *= -1.0
         case Fault.ACCEL_SATURATED:
             accel_y[at:] = RANGE_MPS2
+        case Fault.ACCEL_DEAD:
+            accel_y[:] = 0.0
+        case Fault.STEERING_FROZEN:
+            steer[at:] = steer[at]
+        case Fault.WHEEL_SLOW:
+            wheels[:, 0] *= SLOW_RATIO
+        case Fault.ALL_WHEELS_SLOW:
+            wheels *= SLOW_RATIO
         case _:  # the steering, which is all that is left
             steer[at:] += STEERING_JUMP_RAD
     return replace(trace, wheel_speed_mps=wheels, yaw_rate_radps=yaw_rate, accel_y_mps2=accel_y, steer_rad=steer)
@@ -146,10 +180,28 @@ def _with_clock_fault(trace: Trace, fault: Fault, at: int) -> Trace:
 
 
 def _gnss_with(gnss: GnssTrack, fault: Fault, from_s: float) -> GnssTrack:
-    if fault is Fault.GNSS_GAP:
-        return gnss.where((gnss.time_s < from_s) | (gnss.time_s >= from_s + GNSS_GAP_S))
-    north = np.where(gnss.time_s >= from_s, GNSS_JUMP_M / _METRES_PER_DEG, 0.0)
-    return replace(gnss, lat_deg=gnss.lat_deg + north)
+    time, lat = gnss.time_s, gnss.lat_deg
+    since_s = np.maximum(0.0, time - from_s)
+    match fault:
+        case Fault.GNSS_GAP:
+            return gnss.where((time < from_s) | (time >= from_s + GNSS_GAP_S))
+        case Fault.GNSS_SPARSE:
+            turn = np.floor((time - time[:1]) / GNSS_SPARSE_S)
+            return gnss.where(np.diff(turn, prepend=-1.0) > 0.0)
+        case Fault.GNSS_JUMP:
+            return replace(gnss, lat_deg=lat + np.where(time >= from_s, GNSS_JUMP_M, 0.0) / _METRES_PER_DEG)
+        case Fault.GNSS_BIAS:
+            return replace(gnss, lat_deg=lat + GNSS_BIAS_M / _METRES_PER_DEG)
+        case Fault.GNSS_DRIFT:
+            return replace(gnss, lat_deg=lat + GNSS_DRIFT_MPS * since_s / _METRES_PER_DEG)
+        case Fault.GNSS_FROZEN:
+            last = np.minimum(np.arange(len(time)), max(0, int(np.searchsorted(time, from_s)) - 1))
+            return replace(gnss, lat_deg=lat[last], lon_deg=gnss.lon_deg[last])
+        case Fault.GNSS_LATE:
+            return replace(gnss, time_s=time + GNSS_LATE_S)
+        case _:  # the receiver's speed, which is all that is left
+            speed = gnss.speed_mps
+            return gnss if speed is None else replace(gnss, speed_mps=speed + GNSS_SPEED_DRIFT_MPS2 * since_s)
 
 
 def _during(trace: Trace, at: int, seconds: float) -> BoolArray:
