@@ -85,6 +85,23 @@ def boot_clock() -> tuple[str, float]:
     return boot_id.read_text(encoding="ascii").strip(), time.clock_gettime(clock)
 
 
+class BootClock:
+    """The clock of `boot_clock` for everything that a running process counts: exchanges, advice, ages in the spool."""
+
+    def __init__(self) -> None:
+        """Read the clock's name once."""
+        self.clock_id, _ = boot_clock()
+        self._source = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)
+
+    def now_s(self) -> float:
+        """Return the seconds."""
+        return time.clock_gettime(self._source)
+
+    def wall_s(self, duration_s: float) -> float:
+        """Return the duration itself."""
+        return duration_s
+
+
 class Spool:
     """A folder of summaries; only one process may use it."""
 

@@ -3,29 +3,23 @@
 from __future__ import annotations
 
 from importlib.resources import files
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import cantools
 
 from roadgrip.records import Confidence
 from roadgrip.units import mps_to_kph
+from vehicle_client.shell.can.buses import send_frame
 
 if TYPE_CHECKING:
+    from can import BusABC
+
     from vehicle_client.shell.live.dashboard import ShownAdvice
 
 MESSAGE_NAME = "RoadgripAdvisory"
 NONE_VALUE = 255
-PERIOD_S = 1.0
 _CONFIDENCES = {Confidence.INSUFFICIENT: 1, Confidence.PROVISIONAL: 2, Confidence.RECOMMENDED: 3}
 _POLYNOMIAL = 0x1D
-
-
-class FrameBus(Protocol):
-    """Takes frames; python-can's bus behind `vehicle_client.shell.can.buses.send_frame`."""
-
-    def __call__(self, frame_id: int, data: bytes, /) -> bool:
-        """Return whether a frame could be handed over."""
-        ...
 
 
 class AdvisoryFrames:
@@ -72,6 +66,20 @@ class AdvisoryFrames:
         data = bytearray(self._message.encode(values, strict=False))
         data[7] = crc8_j1850(bytes(data[:7]))
         return bytes(data)
+
+
+class AdvisorySender:
+    """Puts advice on a bus."""
+
+    def __init__(self, bus: BusABC, frames: AdvisoryFrames) -> None:
+        """Take an open bus; whoever opened it shuts it down."""
+        self._bus = bus
+        self._frames = frames
+
+    def __call__(self, shown: ShownAdvice | None, inside: bool, now_s: float, /) -> bool:  # noqa: FBT001 - a callback
+        """Return whether the bus took the frame."""
+        data = self._frames.frame_of(shown, inside=inside, now_s=now_s)
+        return send_frame(self._bus, self._frames.frame_id, data)
 
 
 def crc8_j1850(data: bytes) -> int:

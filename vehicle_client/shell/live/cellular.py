@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 QUERY_S = 900.0
 """A listing older than this is asked for again..."""
+WAITING_QUERY_S = 300.0
+"""...this soon while summaries wait: the answer shows that a server is there, before frames are spent on it..."""
 QUERY_M = 5_000.0
 """...or when the car is farther from where it asked than this."""
 BOX_HALF_M = 10_000.0
@@ -51,22 +53,33 @@ class QueryClock:
         self._answered = False
         self._at: tuple[float, float] | None = None
 
-    def due(self, position: Position, *, now_s: float) -> bool:
-        """Return whether the last answer is too old or too far away."""
+    def due(self, position: Position | None, *, now_s: float, waiting: bool = False) -> bool:
+        """Return whether the last answer is too old or too far away.
+
+        Args:
+            position: Where the car is, if it knows.
+            now_s: Now.
+            waiting: Whether summaries wait for a server that can be reached.
+        """
+        since_s = now_s - self._asked_s
+        if not self._answered:
+            return since_s >= RETRY_S
+        if since_s >= (WAITING_QUERY_S if waiting else QUERY_S):
+            return True
+        if position is None or since_s < RETRY_S:
+            return False
         if self._at is None:
             return True
-        if not self._answered:
-            return now_s - self._asked_s >= RETRY_S
         lat, lon = self._at
         north_m = (position.lat_deg - lat) * _DEGREE_M
         east_m = (position.lon_deg - lon) * _DEGREE_M * cos(radians(lat))
-        return now_s - self._asked_s >= QUERY_S or hypot(north_m, east_m) >= QUERY_M
+        return hypot(north_m, east_m) >= QUERY_M
 
-    def asked(self, position: Position, *, now_s: float, answered: bool) -> None:
+    def asked(self, position: Position | None, *, now_s: float, answered: bool) -> None:
         """Take that a query was made."""
         self._asked_s = now_s
         self._answered = answered
-        self._at = (position.lat_deg, position.lon_deg)
+        self._at = None if position is None else (position.lat_deg, position.lon_deg)
 
 
 def bbox_around(position: Position) -> str:
@@ -78,7 +91,7 @@ def bbox_around(position: Position) -> str:
     return f"{west_deg:.5f},{south_deg:.5f},{east_deg:.5f},{north_deg:.5f}"
 
 
-def listing_of(answer: Any, position: Position) -> Listing:
+def listing_of(answer: Any, position: Position | None) -> Listing:
     """Return what the JSON of `GET /v1/sections` says; what is not understood is left out."""
     found: list[tuple[float, SectionLine]] = []
     names: set[str] = set()
@@ -93,21 +106,20 @@ def listing_of(answer: Any, position: Position) -> Listing:
             continue
         names.add(section_id)
         line = line_of_anchors(section_id, length_m=length_m, anchors=anchors)
-        place = line.place_of(lat_deg=position.lat_deg, lon_deg=position.lon_deg)
-        if place is not None:
-            found.append((place.apart_m, line))
+        place = None if position is None else line.place_of(lat_deg=position.lat_deg, lon_deg=position.lon_deg)
+        if line.plane is not None:
+            found.append((inf if place is None else place.apart_m, line))
     found.sort(key=lambda pair: pair[0])
     return Listing(tuple(line for _, line in found[:SECTIONS_LIMIT_COUNT]), frozenset(names))
 
 
-async def list_sections(client: httpx.AsyncClient, address: UnitAddress, position: Position) -> Listing | None:
-    """Return the sections around a position, or None if the server did not tell."""
+async def list_sections(client: httpx.AsyncClient, address: UnitAddress, position: Position | None) -> Listing | None:
+    """Return the sections around a position, or all without one; None if the server did not tell."""
     import httpx
 
     try:
-        answer = await client.get(
-            f"{address}/v1/sections", params={"bbox": bbox_around(position)}, timeout=_LIST_TIMEOUT_S
-        )
+        box = {} if position is None else {"bbox": bbox_around(position)}
+        answer = await client.get(f"{address}/v1/sections", params=box, timeout=_LIST_TIMEOUT_S)
         if answer.status_code != httpx.codes.OK or len(answer.content) > LISTING_LIMIT_BYTES:
             return None
         return listing_of(answer.json(), position)

@@ -42,6 +42,19 @@ class RingCounts:
     unknown_count: int = 0
 
 
+@dataclass(frozen=True, slots=True)
+class Recorded:
+    """A copy of what the ring holds of some time.
+
+    Attributes:
+        series: By channel.
+        missing: Sensors that this car does not have.
+    """
+
+    series: Mapping[str, Series]
+    missing: tuple[str, ...]
+
+
 class SampleRing:
     """Every channel's last values, each with its own time, as they came."""
 
@@ -98,22 +111,23 @@ class SampleRing:
         at = int(np.searchsorted(travelled.values, driven_m))
         return float(travelled.time_s[min(at, len(travelled.time_s) - 1)])
 
-    def trace(self, *, since_s: float, missing: tuple[str, ...] = ()) -> Trace | None:
-        """Return the recording from a time on, at 100 samples a second, or None while a sensor has said nothing.
+    def cut(self, *, since_s: float, missing: tuple[str, ...] = ()) -> Recorded:
+        """Return a copy of everything from a time on, for `trace_of`, which takes longer and needs no ring.
 
         Args:
             since_s: Its beginning.
-            missing: Sensors that this car does not have: they read zero.
+            missing: Sensors that this car does not have.
         """
         sensors = [self._channels[name].last_s for name in CHANNELS if name not in missing]
         end = min(sensors, default=-np.inf)
         # A clock that leapt forward must not ask for a grid over all the time it leapt.
         begin = max(since_s, end - self._duration_s)
         series = {name: ring.since(begin, until_s=end) for name, ring in self._channels.items()}
-        try:
-            return trace_of_series({n: s for n, s in series.items() if len(s.time_s)}, missing=missing).trace
-        except TraceError:
-            return None
+        return Recorded({name: of for name, of in series.items() if len(of.time_s)}, missing)
+
+    def trace(self, *, since_s: float, missing: tuple[str, ...] = ()) -> Trace | None:
+        """Return `trace_of` what `cut` gives."""
+        return trace_of(self.cut(since_s=since_s, missing=missing))
 
     def _append(self, ring: _Ring, series: Series) -> None:
         newest = ring.last_s
@@ -143,6 +157,14 @@ class SampleRing:
             self._travelled.clear()
         if now_s > self._travelled.last_s:
             self._travelled.append(Series(np.array([now_s]), np.array([self._driven_m])))
+
+
+def trace_of(recorded: Recorded) -> Trace | None:
+    """Return a recording at 100 samples a second, or None while a sensor has said nothing."""
+    try:
+        return trace_of_series(recorded.series, missing=recorded.missing).trace
+    except TraceError:
+        return None
 
 
 class _Ring:

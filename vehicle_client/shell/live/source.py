@@ -16,6 +16,9 @@ if TYPE_CHECKING:
     from vehicle_client.shell.live.ring import Readings
 
 
+PLAYED_STEP_S = 0.1
+
+
 class Source(Protocol):
     """Values of sensors as they come. Nothing here waits."""
 
@@ -26,6 +29,11 @@ class Source(Protocol):
 
     def now_s(self) -> float:
         """Return the time on the clock that the values' times are on."""
+        ...
+
+    @property
+    def step_s(self) -> float:
+        """The longest time that `take` may be asked for at once."""
         ...
 
     def wall_s(self, duration_s: float) -> float:
@@ -72,6 +80,11 @@ class PlayedTrace:
             self._start_s = time.monotonic()
         return float(self._trace.time_s[0]) + (time.monotonic() - self._start_s) * self._speedup_ratio
 
+    @property
+    def step_s(self) -> float:
+        """A recording played fast is still lived through step by step."""
+        return PLAYED_STEP_S
+
     def wall_s(self, duration_s: float) -> float:
         """Return how long a duration in the recording takes on the wall."""
         return duration_s / self._speedup_ratio
@@ -110,6 +123,11 @@ class LiveBus:
     def now_s(self) -> float:
         """Return the machine's monotonic clock."""
         return time.monotonic()
+
+    @property
+    def step_s(self) -> float:
+        """Whatever came, came; a loop that was late does not live through it again."""
+        return np.inf
 
     def wall_s(self, duration_s: float) -> float:
         """Return the duration."""
