@@ -11,6 +11,7 @@ import typer
 from roadgrip.errors import RoadgripError
 from vehicle_client.cli_drive import drive
 from vehicle_client.cli_fleet import fleet
+from vehicle_client.cli_live import live
 from vehicle_client.cli_recording import replay, survey
 
 USAGE_ERROR = 2
@@ -46,6 +47,7 @@ app.command()(fleet)
 app.command()(replay)
 app.command()(survey)
 app.command()(drive)
+app.command()(live)
 
 
 def run() -> None:
