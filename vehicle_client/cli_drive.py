@@ -50,7 +50,11 @@ def drive(  # noqa: PLR0917 - typer reads options by name
     seed: Seed = 1,
     plot: Annotated[Path | None, typer.Option(help="Draw the drive into this file: .png, .svg or .pdf.")] = None,
     trace: Annotated[
-        Path | None, typer.Option(help="Write what the sensors saw into this CSV file, for `replay`.")
+        Path | None,
+        typer.Option(
+            help="Write what the sensors saw, for `replay`: .csv, .csv.gz, .parquet, or a CAN log of a made-up car "
+            "(.blf, .asc, .log, .mf4; `--signals example` reads it)."
+        ),
     ] = None,
     as_json: AsJson = False,
 ) -> None:

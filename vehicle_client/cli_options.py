@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from vehicle_client.shell.replay import RecordingFormat
+from vehicle_client.shell.recorded import RecordingFormat
 from vehicle_client.simulator.plan import SensorGrade
 
 if TYPE_CHECKING:
@@ -33,8 +33,24 @@ Unit = Annotated[
         help="The road side unit: `udp://HOST:PORT` as a radio would reach it, or `http://HOST:PORT` over cellular.",
     ),
 ]
-RecordedAs = Annotated[
-    RecordingFormat, typer.Option("--format", help="Whose columns they are; `roadgrip` is our own CSV.")
+Format = Annotated[
+    RecordingFormat,
+    typer.Option("--format", help="Whose columns a table has, without --signals; `roadgrip` is our own."),
+]
+Signals = Annotated[
+    str,
+    typer.Option(
+        "--signals",
+        metavar="FILE",
+        help="What the frames of a CAN log (.blf, .asc, .log, .mf4), or the columns of a table, mean: a file such as "
+        "docs/vehicle.md explains. `example` is the made-up car that `drive --trace drive.blf` writes.",
+    ),
+]
+Vehicle = Annotated[
+    Path | None,
+    typer.Option(
+        "--vehicle", metavar="FILE", help="The car that was driven; left out, what --signals or --format say of it."
+    ),
 ]
 BaseFriction = Annotated[
     float,

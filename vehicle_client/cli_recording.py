@@ -1,12 +1,14 @@
-"""The commands of `roadgrip-vehicle` that read recorded drives: replay, survey."""
+"""The commands of `roadgrip-vehicle` that read recorded drives: replay, survey, inspect."""
 
 from __future__ import annotations
 
 import asyncio
 import json
+from contextlib import contextmanager
+from functools import partial
 from math import inf
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
@@ -15,23 +17,42 @@ from roadgrip.errors import ConfigurationError
 from vehicle_client.cli_options import (
     DEFAULT_UNIT,
     AsJson,
-    RecordedAs,
+    Format,
     Section,
+    Signals,
     SigningKey,
     TrustedKeys,
     Unit,
+    Vehicle,
     road_of,
 )
-from vehicle_client.shell.replay import RecordingFormat
+from vehicle_client.shell.recorded import RecordedAs, RecordingFormat
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from roadgrip.section import RoadSection
+    from vehicle_client.shell.keys import Keys
+    from vehicle_client.shell.recorded import RecordedDrive
+    from vehicle_client.shell.replay import Replay
+    from vehicle_client.shell.uplink import UnitAddress
+
+FromS = Annotated[float, typer.Option("--from", min=0.0, help="Seconds of the recording to leave out.")]
+ToS = Annotated[float, typer.Option("--to", min=0.0, help="Second at which to stop.")]
+Recorded = Annotated[
+    Path, typer.Argument(help="A CAN log, a CSV or Parquet file, such as `roadgrip-vehicle drive --trace` writes.")
+]
 
 
 def replay(  # noqa: PLR0917 - typer reads options by name
-    recording: Annotated[Path, typer.Argument(help="A recording, such as `roadgrip-vehicle drive --trace` writes.")],
+    recording: Recorded,
     section: Section = "long-turn",
     rsu: Unit = DEFAULT_UNIT,
-    recording_format: RecordedAs = RecordingFormat.ROADGRIP,
-    from_s: Annotated[float, typer.Option("--from", min=0.0, help="Seconds of the recording to leave out.")] = 0.0,
-    to_s: Annotated[float, typer.Option("--to", min=0.0, help="Second at which to stop.")] = inf,
+    signals: Signals = "",
+    vehicle: Vehicle = None,
+    recording_format: Format = RecordingFormat.ROADGRIP,
+    from_s: FromS = 0.0,
+    to_s: ToS = inf,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Summarise only; send nothing.")] = False,
     signing_key: SigningKey = None,
     trusted_key: TrustedKeys = None,
@@ -39,28 +60,24 @@ def replay(  # noqa: PLR0917 - typer reads options by name
 ) -> None:
     """Send a recorded drive as if it had just ended.
 
-    Reads the recording, finds the section in it, shows the match and the summary, and sends it to a unit. Exit code 1
-    if there is no passage in the recording, or the unit does not acknowledge it.
+    Reads the recording, finds the section in it, shows the match and the summary, and sends it to a unit. If the unit
+    has a newer map, that one is fetched and the recording summarised again. Exit code 1 if there is no passage in the
+    recording, or the unit does not acknowledge it.
     """
     from vehicle_client.estimation.trace import part_of
     from vehicle_client.shell.keys import read_keys
-    from vehicle_client.shell.replay import (
-        read_trace,
-        replay_table,
-        replay_to_json,
-        send_recorded,
-        summarise_recording,
-        vehicle_of,
-    )
+    from vehicle_client.shell.replay import replay_table, replay_to_json, summarise_recording
     from vehicle_client.shell.uplink import parse_unit_address
 
     keys = read_keys(signing_key, trusted_key or [])
     address = parse_unit_address(rsu)
-    trace = part_of(read_trace(recording, recording_format), from_s=from_s, to_s=to_s)
+    drive = _read(recording, RecordedAs(recording_format, signals, vehicle))
+    trace = part_of(drive.recording.trace, from_s=from_s, to_s=to_s)
     road = asyncio.run(road_of(section, address, keys))
-    replayed = summarise_recording(trace, road, vehicle=vehicle_of(recording_format))
+    summarise = partial(summarise_recording, trace, vehicle=drive.vehicle)
+    replayed = summarise(road)
     if not dry_run:
-        replayed = asyncio.run(send_recorded(replayed, road, address, keys))
+        replayed = asyncio.run(_sent(replayed, address, keys, summarise))
     if as_json:
         print(json.dumps(replay_to_json(replayed), indent=1))
     else:
@@ -69,13 +86,15 @@ def replay(  # noqa: PLR0917 - typer reads options by name
 
 
 def survey(  # noqa: PLR0917 - typer reads options by name
-    recording: Annotated[Path, typer.Argument(help="A recorded drive over the road.")],
+    recording: Recorded,
     output: Annotated[Path, typer.Option("--output", "-o", help="The section file to write.")],
     section_id: Annotated[str, typer.Option("--id", help="Lower-case letters, digits, hyphens.")],
     speed_limit_kmh: Annotated[float, typer.Option("--speed-limit", metavar="KMH", help="Of the road.")],
     from_m: Annotated[float, typer.Option("--from-m", min=0.0, help="Where the section begins, in metres driven.")],
     to_m: Annotated[float, typer.Option("--to-m", min=0.0, help="Where it ends.")],
-    recording_format: RecordedAs = RecordingFormat.ROADGRIP,
+    signals: Signals = "",
+    recording_format: Format = RecordingFormat.ROADGRIP,
+    force: Annotated[bool, typer.Option("--force", help="Write over a file that is there.")] = False,
     as_json: AsJson = False,
 ) -> None:
     """Make a map from a recorded drive, where nobody has surveyed the road.
@@ -86,10 +105,11 @@ def survey(  # noqa: PLR0917 - typer reads options by name
     from roadgrip.section_file import section_to_json
     from roadgrip.units import kph_to_mps
     from vehicle_client.mapmatch.survey import section_of_line
-    from vehicle_client.shell.replay import recorded_line
 
+    if output.exists() and not force:
+        raise ConfigurationError(f"{output} is there already; --force writes over it")
     road = section_of_line(
-        recorded_line(recording, recording_format),
+        _read(recording, RecordedAs(recording_format, signals)).line,
         start_m=from_m,
         end_m=to_m,
         section_id=section_id,
@@ -113,3 +133,27 @@ def survey(  # noqa: PLR0917 - typer reads options by name
             f"{output}: {road.length_m:.1f} m, tightest radius {road.tightest_radius_m:.1f} m, version {road.version}; "
             f"look at it with `roadgrip-rsu section show {output}`"
         )
+
+
+def _read(path: Path, recorded: RecordedAs) -> RecordedDrive:
+    from vehicle_client.shell.recorded import read_drive
+
+    with _progress(path) as watch:
+        return read_drive(path, recorded, watch=watch)
+
+
+@contextmanager
+def _progress(path: Path) -> Iterator[Callable[[int, float], None]]:
+    """Show on standard error how far the reading of a long log is; nothing where no one looks."""
+    with Console(stderr=True).status(f"reading {path.name}") as status:
+        yield lambda frames_count, _: status.update(f"reading {path.name}: {frames_count} frames")
+
+
+async def _sent(
+    replayed: Replay, address: UnitAddress, keys: Keys, summarise: Callable[[RoadSection], Replay]
+) -> Replay:
+    from vehicle_client.shell.replay import send_recorded
+    from vehicle_client.shell.uplink import uplink_to
+
+    async with uplink_to(address) as uplink:
+        return await send_recorded(replayed, uplink, keys, summarise=summarise)

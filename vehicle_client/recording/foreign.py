@@ -102,7 +102,7 @@ def recording_of_columns(columns: Mapping[str, FloatArray], mapping: ColumnMappi
     trace = replace(trace_of_samples(time, values, quality=quality), absent=missing)
     known = np.isfinite(time)
     return Recording(
-        trace=trace,
+        trace=replace(trace, absent=missing),
         reference={name: np.interp(trace.time_s, time[known], of[known]) for name, of in reference.items()},
         missing=missing,
         repeated_count=repeated_count(time),

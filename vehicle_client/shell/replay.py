@@ -4,55 +4,30 @@ from __future__ import annotations
 
 import secrets
 from dataclasses import dataclass, replace
-from enum import StrEnum
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from rich.table import Table
 
-from roadgrip.errors import ConfigurationError
 from roadgrip.features import KINEMATIC_FEATURES
-from roadgrip.records import PASSAGE_ID_BYTES, Accepted, Rejected
+from roadgrip.records import PASSAGE_ID_BYTES, Accepted, Reason, Rejected
 from roadgrip.units import mps_to_kph
-from vehicle_client.estimation.vehicle_geometry import XC90, VehicleGeometry
-from vehicle_client.mapmatch.dead_reckoning import DrivenLine, driven_line
 from vehicle_client.pipeline import Summarised, summarise_passage
-from vehicle_client.recording.foreign import Recording
-from vehicle_client.recording.public import COMMA2K19_RAV4, FERRARI_250LM, IAC_AV21
 from vehicle_client.shell.conversation import SpedUpClock, arrive, report
 from vehicle_client.shell.exchange import Ending, Exchange, ExchangeRecord, Stage
 from vehicle_client.shell.fleet_events import flag_names
-from vehicle_client.shell.sources import read_recording, read_trace_csv
-from vehicle_client.shell.uplink import uplink_to
+from vehicle_client.shell.roads import ask_for_section
 from vehicle_client.shell.views import advice_text
+from vehicle_client.vehicle_profile import PAPER_VEHICLE, VehicleProfile
 
 if TYPE_CHECKING:
-    from pathlib import Path
+    from collections.abc import Callable
 
     from roadgrip.section import RoadSection
     from vehicle_client.estimation.trace import Trace
     from vehicle_client.shell.keys import Keys
-    from vehicle_client.shell.uplink import UnitAddress
+    from vehicle_client.shell.uplink import Uplink
 
-
-class RecordingFormat(StrEnum):
-    """Whose recording it is."""
-
-    ROADGRIP = "roadgrip"
-    """Our own CSV, see `vehicle_client.recording.channels`."""
-    FERRARI_250LM = "ferrari-250lm"
-    """Stanford's Revs programme: a Ferrari 250 LM."""
-    IAC_AV21 = "iac-av21"
-    """Indy Autonomous Challenge: an AV-21."""
-    COMMA2K19_RAV4 = "comma2k19-rav4"
-    """comma2k19: a Toyota RAV4."""
-
-
-MAPPINGS = {
-    RecordingFormat.FERRARI_250LM: FERRARI_250LM,
-    RecordingFormat.IAC_AV21: IAC_AV21,
-    RecordingFormat.COMMA2K19_RAV4: COMMA2K19_RAV4,
-}
 
 SHOWN = ("speed_mean_mps", "speed_min_mps", "speed_max_mps", "steer_std_rad", "sideslip_max_rad", "sideslip_min_rad")
 """Of the 55 numbers, those a person can judge at a glance."""
@@ -65,12 +40,16 @@ class Replay:
     Attributes:
         made: What the onboard pipeline made of it.
         ended_s: End of the recording, on its own clock.
+        section: The map it was made with.
         record: How the exchange went; None if nothing was sent.
+        remapped: Whether the unit had a newer map than the one at hand.
     """
 
     made: Summarised | Rejected
     ended_s: float
+    section: RoadSection
     record: ExchangeRecord | None = None
+    remapped: bool = False
 
     @property
     def went_well(self) -> bool:
@@ -78,48 +57,7 @@ class Replay:
         return isinstance(self.made, Summarised) and (self.record is None or self.record.ending is Ending.ACCEPTED)
 
 
-def read_trace(path: Path, recording_format: RecordingFormat) -> Trace:
-    """Return the trace that a file holds.
-
-    Raises:
-        ConfigurationError: The file cannot be read.
-        TraceError: It is no such recording; the message says where.
-    """
-    return _read(path, recording_format).trace
-
-
-def recorded_line(path: Path, recording_format: RecordingFormat) -> DrivenLine:
-    """Return the line a recorded vehicle drove, by its yaw rate and its speed.
-
-    The speed is a reference instrument's where the recording has one, else the mean of the wheels that do not steer.
-
-    Raises:
-        ConfigurationError: The file cannot be read.
-        TraceError: It is no such recording; the message says where.
-    """
-    recording = _read(path, recording_format)
-    trace, reference = recording.trace, recording.reference
-    speed_mps = reference.get("velocity_x_mps", trace.wheel_speed_mps[:, 2:].mean(axis=1))
-    return driven_line(speed_mps, trace.yaw_rate_radps, reference.get("velocity_y_mps"))
-
-
-def _read(path: Path, recording_format: RecordingFormat) -> Recording:
-    mapping = MAPPINGS.get(recording_format)
-    try:
-        if mapping is None:
-            return Recording(trace=read_trace_csv(path), reference={}, missing=())
-        return read_recording(path, mapping)
-    except OSError as error:
-        raise ConfigurationError(f"cannot read {path}: {error.strerror or error}") from error
-
-
-def vehicle_of(recording_format: RecordingFormat) -> VehicleGeometry:
-    """Return the car that a format's recordings come from; for our own, the car of the paper."""
-    mapping = MAPPINGS.get(recording_format)
-    return XC90 if mapping is None else mapping.vehicle
-
-
-def summarise_recording(trace: Trace, section: RoadSection, *, vehicle: VehicleGeometry = XC90) -> Replay:
+def summarise_recording(trace: Trace, section: RoadSection, *, vehicle: VehicleProfile = PAPER_VEHICLE) -> Replay:
     """Return what the onboard pipeline makes of a recording, before anything is sent.
 
     Args:
@@ -130,17 +68,44 @@ def summarise_recording(trace: Trace, section: RoadSection, *, vehicle: VehicleG
     Raises:
         TraceError: The recording's arrays do not fit each other.
     """
-    return Replay(summarise_passage(trace, section, vehicle=vehicle), ended_s=float(trace.time_s[-1]))
+    made = summarise_passage(trace, section, vehicle=vehicle.geometry, parameters=vehicle.parameters)
+    return Replay(made, ended_s=float(trace.time_s[-1]), section=section)
 
 
-async def send_recorded(replay: Replay, section: RoadSection, address: UnitAddress, keys: Keys) -> Replay:
+async def send_recorded(
+    replay: Replay, uplink: Uplink, keys: Keys, *, summarise: Callable[[RoadSection], Replay]
+) -> Replay:
     """Return the replay with the unit's answer; nothing is sent where there is no summary.
 
-    The passage's age is what passed in the recording after the end of the section.
+    The passage's age is what passed in the recording after the end of the section. If the unit has mapped the road
+    anew, its map is fetched and the recording summarised again, once.
+
+    Args:
+        replay: What was made of the recording with the map at hand.
+        uplink: To the unit.
+        keys: What is signed with, and who is believed.
+        summarise: Makes the same of the recording with another map.
+
+    Raises:
+        ConfigurationError: The unit calls the map outdated, and does not send its own.
     """
     if isinstance(replay.made, Rejected):
         return replay
-    clock = SpedUpClock()
+    sent, newer = await _exchanged(replay, replay.made, uplink, keys)
+    if newer is None and _is_stale(sent):
+        section_id = replay.section.section_id
+        newer = await ask_for_section(section_id, uplink=uplink, open_codec=keys.codecs_for(section_id))
+    if newer is None:
+        return sent
+    again = replace(summarise(newer), remapped=True)
+    if isinstance(again.made, Rejected):
+        return again
+    return (await _exchanged(again, again.made, uplink, keys))[0]
+
+
+async def _exchanged(replay: Replay, made: Summarised, uplink: Uplink, keys: Keys) -> tuple[Replay, RoadSection | None]:
+    """Return the replay with the unit's answer, or without one and with the newer map that the unit sent instead."""
+    section, clock = replay.section, SpedUpClock()
     passage_id = secrets.token_bytes(PASSAGE_ID_BYTES)
     exchange = Exchange(
         passage_id=passage_id,
@@ -148,12 +113,18 @@ async def send_recorded(replay: Replay, section: RoadSection, address: UnitAddre
         codec=keys.codecs_for(section.section_id)(passage_id),
         known_section=section,
     )
-    async with uplink_to(address) as uplink:
-        await arrive(exchange, uplink, clock)
-        if exchange.stage is not Stage.ENDED:
-            left_at_s = clock.now_s() - (replay.ended_s - replay.made.left_at_s)
-            await report(exchange, uplink, clock, replay.made.summary, map_version=section.version, left_at_s=left_at_s)
-    return replace(replay, record=exchange.record())
+    await arrive(exchange, uplink, clock)
+    if exchange.section is not None and exchange.section.version != section.version and not replay.remapped:
+        return replay, exchange.section
+    if exchange.stage is not Stage.ENDED:
+        left_at_s = clock.now_s() - (replay.ended_s - made.left_at_s)
+        await report(exchange, uplink, clock, made.summary, map_version=section.version, left_at_s=left_at_s)
+    return replace(replay, record=exchange.record()), None
+
+
+def _is_stale(replay: Replay) -> bool:
+    outcome = None if replay.record is None else replay.record.outcome
+    return isinstance(outcome, Rejected) and outcome.reason is Reason.STALE_MAP
 
 
 def refusal_text(refusal: Rejected) -> str:
@@ -180,6 +151,8 @@ def replay_to_json(replay: Replay) -> dict[str, Any]:
     record = replay.record
     return {
         "went_well": replay.went_well,
+        "map_version": replay.section.version,
+        "remapped": replay.remapped,
         "passage": made_to_json(replay.made),
         "exchange": None
         if record is None
@@ -203,6 +176,8 @@ def replay_table(replay: Replay) -> Table:
     if isinstance(made, Rejected):
         table.add_row("no passage", refusal_text(made))
         return table
+    if replay.remapped:
+        table.add_row("map", f"the unit's own, version {replay.section.version}; yours is outdated")
     match = made.match
     table.add_row(
         "found by", f"{match.method.value}, confidence {match.confidence_frac:.2f}, {match.position_std_m:.1f} m"

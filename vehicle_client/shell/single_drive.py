@@ -16,7 +16,7 @@ from roadgrip.units import GRAVITY_MPS2, PASCAL_PER_BAR, mps_to_kph
 from vehicle_client.pipeline import Summarised, summarise_passage
 from vehicle_client.shell.fleet import simulator
 from vehicle_client.shell.replay import made_to_json, refusal_text
-from vehicle_client.shell.sources import write_trace_csv
+from vehicle_client.shell.sources import write_trace
 from vehicle_client.simulator.drive import DriveOutcome
 from vehicle_client.simulator.plan import (
     REFERENCE_PRESSURE_PA,
@@ -296,12 +296,13 @@ def _driver_text(plan: PassagePlan) -> str:
 
 
 def keep_trace(driven: SingleDrive, path: Path) -> None:
-    """Write what the sensors saw, as `replay` reads it.
+    """Write what the sensors saw, as `replay` reads it; the name says as what, see `write_trace`.
 
     Raises:
-        ConfigurationError: The file cannot be written.
+        ConfigurationError: The file cannot be written, or its name says nothing that can be.
+        ModuleNotFoundError: .parquet and .mf4 need the extra `vehicle-files`.
     """
     try:
-        write_trace_csv(path, driven.drive.trace)
+        write_trace(path, driven.drive.trace)
     except OSError as error:
         raise ConfigurationError(f"cannot write {path}: {error.strerror or error}") from error

@@ -24,7 +24,8 @@ if TYPE_CHECKING:
     from vehicle_client.recording.series import Aligned
     from vehicle_client.recording.signal_mapping import SignalMapping
 
-TRACE_SUFFIXES = (".csv", ".csv.gz", ".parquet", ".blf", ".asc", ".log", ".mf4")
+TABLE_SUFFIXES = (".csv", ".csv.gz", ".parquet")
+TRACE_SUFFIXES = (*TABLE_SUFFIXES, ".blf", ".asc", ".log", ".mf4")
 """What a trace can be written as."""
 
 
