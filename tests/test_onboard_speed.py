@@ -63,5 +63,6 @@ def test_scipy_gives_the_same_features(steps):
 
 
 def test_another_constant_gives_other_features(steps):
-    other = replace(steps, parameters=replace(steps.parameters, roll_crossover_hz=0.06))
+    doubled = 2.0 * steps.parameters.roll_crossover_hz
+    other = replace(steps, parameters=replace(steps.parameters, roll_crossover_hz=doubled))
     assert difference_ratio(with_scipy.values(other), steps) > 1e3 * TOLERANCE_RATIO

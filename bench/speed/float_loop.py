@@ -79,21 +79,21 @@ def values(drive: Recorded, steps: Steps) -> Series:
 
     speed = speed_given([0.0] * len(yaw_rate))
     gripping = gripping_velocity(accel_y, yaw_rate, speed, vehicle, parameters)
+    speed = speed_given(gripping)
     roll = chassis_roll(
         drive, accel_y, yaw_rate, speed, gripping, bank=bank, climb=climb, crossover_hz=parameters.roll_crossover_hz
     )
     road_accel_y = [
         (a - GRAVITY_MPS2 * math.sin(r + b)) / math.cos(r + b) for a, r, b in zip(accel_y, roll, bank, strict=True)
     ]
-    straight = straightness(yaw_rate, steer, sideslip_rate(road_accel_y, yaw_rate, speed), parameters)
-    speed = speed_given(gripping)
+    rate = sideslip_rate(road_accel_y, yaw_rate, speed)
+    straight = straightness(yaw_rate, steer, rate, parameters)
     ahead, left = both_ways(accel_x, road_accel_y, yaw_rate, speed, straight, gripping=gripping, parameters=parameters)
     sideslip = [math.atan(y / max(x, SPEED_FLOOR_MPS)) for x, y in zip(smoothed(ahead), smoothed(left), strict=True)]
     excess = []
     for w, v, delta in zip(yaw_rate, speed, steer, strict=True):
         t = math.tan(delta)
         excess.append(w - 2.0 * v * t / (2.0 * vehicle.wheelbase_m + vehicle.track_m * abs(t)))
-    rate = sideslip_rate(road_accel_y, yaw_rate, speed)
     result: Series = []
     for signal in (steer, sideslip, rate, excess, [max(v, 0.0) for v in speed]):
         result += statistics([value for value, counts in zip(signal, drive.inside, strict=True) if counts])

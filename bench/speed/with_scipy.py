@@ -35,6 +35,7 @@ def values(steps: Steps) -> FloatArray:
     speed = encoder_speed(steps, yaw_rate, steer, accel_x, np.zeros_like(steer))
     rear_slip = steps.parameters.rear_slip_gradient_s2pm * speed * accel_y
     gripping = smoothed(steps.parameters.grip_pull_ratio * (vehicle.rear_axle_m * yaw_rate - rear_slip))
+    speed = encoder_speed(steps, yaw_rate, steer, accel_x, gripping)
     rolling = trace.roll_rate_radps - yaw_rate * np.tan(climb)
     turned = integrate.cumulative_trapezoid(rolling, dx=SAMPLE_S, initial=0)
     gain = np.gradient(gripping, SAMPLE_S)
@@ -44,7 +45,6 @@ def values(steps: Steps) -> FloatArray:
     road_accel_y = (accel_y - GRAVITY_MPS2 * np.sin(lean)) / np.cos(lean)
     rate = sideslip_rate(road_accel_y, yaw_rate, speed)
     straight = straightness(yaw_rate, steer, rate, steps.parameters)
-    speed = encoder_speed(steps, yaw_rate, steer, accel_x, gripping)
     there = observed(accel_x, road_accel_y, yaw_rate, speed, straight, gripping=gripping, parameters=steps.parameters)
     back = observed(
         -accel_x[::-1],
@@ -59,7 +59,6 @@ def values(steps: Steps) -> FloatArray:
     sideslip = np.arctan(velocity_y / np.maximum(velocity_x, SPEED_FLOOR_MPS))
     t = np.tan(steer)
     excess = yaw_rate - 2.0 * speed * t / (2.0 * vehicle.wheelbase_m + vehicle.track_m * np.abs(t))
-    rate = sideslip_rate(road_accel_y, yaw_rate, speed)
     signals = (steer, sideslip, rate, excess, np.maximum(speed, 0.0))
     return np.concatenate([statistics(values[steps.inside]) for values in signals])
 
