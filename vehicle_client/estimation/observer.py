@@ -40,6 +40,9 @@ class ObserverParameters:
             drives of the paper's car, as the paper tuned its constants.
         grip_pull_ratio: Which share of the lateral velocity of a gripping car F(t) pulls to; 0 is the paper's pull to
             zero.
+        roll_gradient_s2pm: Roll of the body per lateral acceleration, rad per m/s^2; stands in for a roll gyro that a
+            car does not have, and is not used where there is one. Cars have 0.004 (sports cars) to 0.012; the default
+            is an estimate of the paper's car.
         roll_crossover_hz: Where slow roll from the accelerometer meets fast roll from the gyro. The paper gives no
             number; this one did well on simulated drives with either grade of sensors, whatever the map says of bank.
         lowpass: Which reading of the paper's smoothing filter.
@@ -59,6 +62,7 @@ class ObserverParameters:
     sigma_sideslip_accel_radps2: float = 0.3
     rear_slip_gradient_s2pm: float = 0.0075
     grip_pull_ratio: float = 1.0
+    roll_gradient_s2pm: float = 0.008
     roll_crossover_hz: float = 0.06
     lowpass: LowPass = LowPass.HAMMING_FIR
 

@@ -57,6 +57,29 @@ def chassis_roll_rad(
     return turned + slow_part(tilt - turned, crossover_hz=crossover_hz) - bank_rad
 
 
+def reckoned_roll_rate_radps(
+    accel_y_mps2: FloatArray,
+    yaw_rate_radps: FloatArray,
+    bank_rad: FloatArray,
+    *,
+    climb_rad: FloatArray,
+    roll_gradient_s2pm: float,
+) -> FloatArray:
+    """Return what a roll gyro would read, in a car that has none. (n,)
+
+    The body leans outwards in proportion to the lateral force, the road turns under it as the map says, and yawing on a
+    grade turns about the car's long axis too. What a bump or a slow lean of the load does is not in it.
+
+    Args:
+        accel_y_mps2: Specific force to the left, smoothed. (n,)
+        yaw_rate_radps: Left turn positive. (n,)
+        bank_rad: Cross slope of the road as an angle, left edge up positive, from the map. (n,)
+        climb_rad: Grade of the road as an angle, uphill positive, from the map. (n,)
+        roll_gradient_s2pm: Roll per lateral acceleration.
+    """
+    return rate_of_change(roll_gradient_s2pm * accel_y_mps2 + bank_rad) + yaw_rate_radps * np.tan(climb_rad)
+
+
 def road_accel_y_mps2(accel_y_mps2: FloatArray, *, chassis_roll_rad: FloatArray, bank_rad: FloatArray) -> FloatArray:
     """Return the lateral acceleration of the vehicle in the road's plane, gravity taken out. (n,)
 

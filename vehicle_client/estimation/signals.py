@@ -18,7 +18,7 @@ from vehicle_client.estimation.observer import (
     straightness_1ps,
     two_way_velocity_mps,
 )
-from vehicle_client.estimation.roll import chassis_roll_rad, road_accel_y_mps2
+from vehicle_client.estimation.roll import chassis_roll_rad, reckoned_roll_rate_radps, road_accel_y_mps2
 from vehicle_client.estimation.summary import KinematicSignals
 from vehicle_client.estimation.wheel_speed import encoder_speed_mps
 from vehicle_client.estimation.yaw_rate import yaw_rate_excess_radps
@@ -69,11 +69,16 @@ def kinematic_signals(
     gripping = gripping_velocity_y_mps(accel_y, yaw_rate, speed, rear_axle_m=vehicle.rear_axle_m, parameters=parameters)
     # The front wheels roll partly sideways: with about the right lateral velocity the encoders tell a better speed.
     speed = speed_given(gripping)
+    roll_rate = measured.roll_rate_radps
+    if "roll_rate_radps" in trace.absent:
+        roll_rate = reckoned_roll_rate_radps(
+            accel_y, yaw_rate, bank, climb_rad=climb, roll_gradient_s2pm=parameters.roll_gradient_s2pm
+        )
     roll = chassis_roll_rad(
         accel_y,
         yaw_rate,
         speed,
-        measured.roll_rate_radps,
+        roll_rate,
         bank,
         climb_rad=climb,
         gripping_velocity_y_mps=gripping,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from roadgrip.units import GRAVITY_MPS2
-from vehicle_client.estimation.roll import chassis_roll_rad, road_accel_y_mps2
+from vehicle_client.estimation.roll import chassis_roll_rad, reckoned_roll_rate_radps, road_accel_y_mps2
 
 N = 3000
 TIME_S = np.arange(N) * 0.01
@@ -70,6 +70,21 @@ def test_a_lateral_velocity_that_was_expected_is_no_roll():
     gripping = 0.5 * np.sin(0.3 * TIME_S)
     found = roll_of(np.gradient(gripping, 0.01), gripping=gripping)
     assert np.abs(found).max() < 1e-4
+
+
+def test_without_a_gyro_a_body_that_leans_with_the_force_is_seen_all_the_same():
+    # A body of 0.006 rad per m/s^2 on a bank that comes and goes, uphill.
+    force, bank, climb = 3.0 * np.sin(TIME_S), 0.04 * np.sin(0.3 * TIME_S), np.full(N, 0.08)
+    yaw_rate, speed = force / 15.0, np.full(N, 15.0)
+    tilt = 0.006 * force + bank
+    accel_y = force + GRAVITY_MPS2 * np.sin(tilt)
+    # It goes by what the accelerometer reads, which holds the lean itself and the bank.
+    gradient = 0.006 / (1.0 + GRAVITY_MPS2 * 0.006)
+    roll_rate = reckoned_roll_rate_radps(accel_y, yaw_rate, bank, climb_rad=climb, roll_gradient_s2pm=gradient)
+    found = roll_of(accel_y, yaw_rate=yaw_rate, speed=speed, roll_rate=roll_rate, bank=bank, climb=climb)
+    assert np.abs(found - 0.006 * force)[300:-300].max() < 2e-3
+    blind = roll_of(accel_y, yaw_rate=yaw_rate, speed=speed, bank=bank, climb=climb)
+    assert np.abs(blind - 0.006 * force)[300:-300].max() > 1e-2
 
 
 def test_gravity_is_taken_out():

@@ -246,6 +246,24 @@ def test_a_car_straight_along_a_bank_crabs_as_its_tyres_hold_it_and_no_more(slop
     assert np.abs(found.sideslip_rate_radps).max() < 1e-9
 
 
+def test_a_car_without_a_roll_gyro_sees_its_sideslip_too():
+    # The lean of the body, 1 degree to either side, would else be taken for 0.17 m/s^2 of sliding.
+    v, w = np.full(N, 15.0), lane_changes_radps(TIME_S)
+    left = gripping_velocity_mps(v, w, PAPER_PARAMETERS.rear_slip_gradient_s2pm)
+    lean = PAPER_PARAMETERS.roll_gradient_s2pm * (np.gradient(left, SAMPLE_S) + w * v)
+    trace = motion(v, w, velocity_y_mps=left, tilt_rad=lean)
+    lacking = replace(trace, roll_rate_radps=np.zeros(N), absent=("roll_rate_radps",))
+    truth = np.arctan(left / v)
+
+    def error(sensed: Trace) -> float:
+        return rms((estimated(sensed).sideslip_rad - truth)[200:-200])
+
+    assert error(lacking) < 5e-4
+    assert error(lacking) < error(replace(lacking, absent=())) / 4.0
+    # A car that has the gyro goes by it.
+    assert error(trace) < 5e-4
+
+
 def test_a_bank_that_comes_and_goes_is_not_taken_for_sliding():
     tilt = 0.05 * np.sin(2.0 * np.pi * TIME_S / 10.0) ** 2
     found = estimated(motion(np.full(N, 20.0), np.zeros(N), tilt_rad=tilt), parameters=TO_ZERO)
