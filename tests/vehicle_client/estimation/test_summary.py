@@ -45,6 +45,29 @@ def test_the_columns_are_the_tables_and_the_numbers_scipys():
     assert values["sideslip_rate_median_radps"] == pytest.approx(np.median(bag[2]))
 
 
+@pytest.mark.parametrize("draw", ["normal", "exponential", "uniform", "standard_cauchy"])
+def test_every_statistic_is_scipys_whatever_the_distribution(draw):
+    bag = getattr(np.random.default_rng(5), draw)(size=(5, N))
+    found = np.array(summary_of(bag).values).reshape(5, len(STATISTICS))
+    quantiles = stats.mstats.mquantiles(bag, [0.2, 0.4, 0.6, 0.8, 0.5], alphap=1, betap=1, axis=1)
+    described = stats.describe(bag, axis=1, ddof=0)
+    expected = {
+        "mean": described.mean,
+        "std": np.sqrt(described.variance),
+        "q20": quantiles[:, 0],
+        "q40": quantiles[:, 1],
+        "q60": quantiles[:, 2],
+        "q80": quantiles[:, 3],
+        "min": described.minmax[0],
+        "median": quantiles[:, 4],
+        "max": described.minmax[1],
+        "skewness": described.skewness,
+        "kurtosis": described.kurtosis,
+    }
+    for i, name in enumerate(STATISTICS):
+        assert np.allclose(found[:, i], expected[name], rtol=1e-9, atol=1e-12), name
+
+
 @given(seed=st.integers(0, 2**32 - 1))
 def test_the_order_of_samples_does_not_matter(seed):
     rng = np.random.default_rng(seed)
