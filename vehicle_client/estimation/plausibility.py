@@ -51,6 +51,8 @@ FORCE_WINDOW_COUNT = 8
 CALM_MPS2 = 0.7
 """Of lateral acceleration; below it tyres hardly slip, and the wheels point where the car goes."""
 CALM_MIN_COUNT, CALM_AFTER_COUNT, CALM_INTO_COUNT = 4, 16, 4
+RESTING_COUNT = 7
+"""No recorded channel rested for so many samples."""
 WHEEL_APART_RATIO = 0.025
 ACCEL_RANGE_MIN_MPS2, GYRO_RANGE_MIN_RADPS = 5.0, 0.5
 """Sensors of cars reach at least so far."""
@@ -304,9 +306,10 @@ def _steering_by_itself(trace: Trace, speed_mps: FloatArray, rows: slice, wheelb
     around = (step[:-4] + step[1:-3] + step[3:-1] + step[4:]) / 4.0
     alone = np.abs(step[2:-2] - around)
     fastest = int(np.argmax(alone)) + 2
-    # Where the whole network repeats itself or is silent, the step only catches up.
-    alive = trace.yaw_rate_radps[rows][max(0, fastest - 2) : fastest + 4]
-    whole = bool(valid[max(0, fastest - 2) : fastest + 4].all() and (np.diff(alive) != 0.0).all())
+    # Where the whole network repeated itself, the step only catches up.
+    before = slice(max(0, fastest - RESTING_COUNT), fastest + 1)
+    alive = any(np.ptp(channel[rows][before]) > 0.0 for channel in (trace.yaw_rate_radps, trace.accel_x_mps2))
+    whole = alive and bool(valid[max(0, fastest - 2) : fastest + 4].all())
     stays = abs(float(np.median(steer[fastest + 1 : fastest + 4]) - np.median(steer[fastest - 2 : fastest + 1])))
     size = min(float(alone[fastest - 2]), stays) if whole else 0.0
     yield Finding(Sensor.STEERING, "jumps within a sample, rad", size, STEER_STEP_RAD)
