@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -168,10 +169,11 @@ class GeoFrame:
         return _inverse(east, north, meridian_deg=self.meridian_deg)
 
 
+@lru_cache(maxsize=8)
 def frame_of(section: RoadSection) -> GeoFrame:
     """Return the frame that fits a section's anchors best: rotation, scale and offset by least squares.
 
-    Two anchors suffice. Over a section of 1 km positions agree with the map's own projection to centimetres; the
+    Kept for the last few sections. Two anchors suffice. Over a section of 1 km positions agree with the map's own projection to centimetres; the
     rounding of anchors (1e-7 degrees, 0.1 m of station) is what remains.
 
     Raises:

@@ -11,6 +11,8 @@ from roadgrip.records import Reason, Rejected
 from vehicle_client.mapmatch.match import MatchMethod, SectionMatch, section_match
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from roadgrip.section import RoadSection, SectionProfile
     from roadgrip.units import BoolArray, FloatArray
     from vehicle_client.estimation.trace import GnssTrack
@@ -44,6 +46,7 @@ TREND_MIN_RATIO = 0.5
 _JUMP_M = 60.0
 _ROUNDS_COUNT = 5
 _PAIRS_LIMIT_COUNT = 2_000_000
+_POINTS_AT_ONCE_COUNT = 48
 
 
 def positions_usable(gnss: GnssTrack | None, section: RoadSection) -> bool:
@@ -176,8 +179,7 @@ def _projected(x_m: FloatArray, y_m: FloatArray, profile: SectionProfile) -> tup
     # A fix every 10 cm along 10 km would be 10^9 pairs; the nearest point is searched on a thinned line first.
     stride = max(1, len(x_m) * len(profile.station_m) // _PAIRS_LIMIT_COUNT)
     index = np.arange(0, len(profile.station_m), stride)
-    squares = (x_m[:, None] - profile.x_m[index]) ** 2 + (y_m[:, None] - profile.y_m[index]) ** 2
-    nearest = index[np.argmin(squares, axis=1)]
+    nearest = index[_nearest(x_m, y_m, line_x_m=profile.x_m[index], line_y_m=profile.y_m[index])]
     for _ in range(4 if stride > 1 else 2):
         heading = profile.heading_rad[nearest]
         dx, dy = x_m - profile.x_m[nearest], y_m - profile.y_m[nearest]
@@ -186,6 +188,19 @@ def _projected(x_m: FloatArray, y_m: FloatArray, profile: SectionProfile) -> tup
         station = profile.station_m[nearest] + along
         nearest = np.clip(np.searchsorted(profile.station_m, station), 0, len(profile.station_m) - 1)
     return station, lateral
+
+
+def _nearest(x_m: FloatArray, y_m: FloatArray, *, line_x_m: FloatArray, line_y_m: FloatArray) -> NDArray[np.intp]:
+    """Return which point of a line lies nearest to each of other points. (n,)"""
+    points = np.column_stack([x_m, y_m])
+    # The square of a distance, but for the part that is the same for every point of the line.
+    twice, own = -2.0 * np.stack([line_x_m, line_y_m]), line_x_m**2 + line_y_m**2
+    nearest = np.empty(len(points), dtype=np.intp)
+    # Some at a time: all pairs at once would be megabytes that the system hands out page by page.
+    for start in range(0, len(points), _POINTS_AT_ONCE_COUNT):
+        here = slice(start, start + _POINTS_AT_ONCE_COUNT)
+        nearest[here] = np.argmin(points[here] @ twice + own, axis=1)
+    return nearest
 
 
 def _one_pass(near: BoolArray, station_m: FloatArray, travelled_m: FloatArray) -> BoolArray:
