@@ -50,9 +50,14 @@ def study_terms(grade: SensorGrade) -> Terms:
     return Terms(design_name="onboard-accuracy", seed=SEED, sensor_grade=grade)
 
 
-def study_scenarios() -> tuple[Scenario, ...]:
-    """Return the paper's three roads and the S-turn of two frictions, each driven by the paper's car."""
-    return named_design("paper", study_terms(SensorGrade.IDEAL), Size(1)).scenarios
+def study_scenarios(*, varied_vehicles: bool = False) -> tuple[Scenario, ...]:
+    """Return the paper's three roads and the S-turn of two frictions.
+
+    Args:
+        varied_vehicles: Whether every drive has a car of its own, from small car to van, instead of the paper's.
+    """
+    design = "varied-vehicles" if varied_vehicles else "paper"
+    return named_design(design, study_terms(SensorGrade.IDEAL), Size(1)).scenarios
 
 
 def completed_drives(

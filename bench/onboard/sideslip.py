@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -9,7 +10,7 @@ from typing import Any
 from bench.onboard.agreement import Agreement, agreement, gain_by_frequency, pooled
 from bench.onboard.drives import GRADES, SEED, Watched, completed_drives, study_scenarios
 from bench.onboard.sideslip_view import TABLES, draw_errors, draw_gain
-from bench.onboard.variants import VARIANTS, varied_signals
+from bench.onboard.variants import VARIANTS, Variant, varied_signals
 from roadgrip.records import Rejected
 from roadgrip.units import FloatArray
 from training.designs import BASE_FRICTIONS_MU
@@ -23,6 +24,7 @@ __all__ = ["TABLES", "draw", "signals_and_truth"]
 
 DRIVES_COUNT = 48
 """Per cell: scenario, base friction, grade of sensors."""
+OTHER_CARS_FRICTIONS_MU = (0.2, 0.45, 0.7)
 EDGES_HZ = (0.03, 0.06, 0.1, 0.15, 0.22, 0.33, 0.5, 0.75, 1.1, 1.7, 2.5, 4.0, 6.0)
 _OF_VARIANTS = ("rms_error_rad", "rms_error_standard_error_rad", "correlation_ratio", "seen_of_peak_q50_ratio")
 Curves = dict[str, tuple[FloatArray, FloatArray]]
@@ -63,13 +65,17 @@ def draw(folder: Path) -> dict[str, Any]:
             print(f"    sideslip: {grade}, {scenario.name}", flush=True)
             scenarios[scenario.name] = _scenario_figures(scenario, grade)
         figures["grades"][grade.value] = scenarios
+    print("    sideslip: other cars", flush=True)
+    figures["other_cars"] = {
+        scenario.name: _other_cars_figures(scenario) for scenario in study_scenarios(varied_vehicles=True)
+    }
     figures["picture"] = draw_errors(figures["grades"], folder)
     figures["gain_picture"] = draw_gain(figures["grades"], folder)
     return figures
 
 
 def _scenario_figures(scenario: Scenario, grade: SensorGrade) -> dict[str, Any]:
-    cells = {mu: _cell(scenario, grade, mu) for mu in BASE_FRICTIONS_MU}
+    cells = {mu: _cell(scenario, grade, mu, VARIANTS) for mu in BASE_FRICTIONS_MU}
     whole = sum(cells.values(), _Gathered())
     return {
         "cells": [
@@ -98,7 +104,19 @@ def _scenario_figures(scenario: Scenario, grade: SensorGrade) -> dict[str, Any]:
     }
 
 
-def _cell(scenario: Scenario, grade: SensorGrade, base_friction_mu: float) -> _Gathered:
+def _other_cars_figures(scenario: Scenario) -> dict[str, Any]:
+    """Return how well cars are served that know their own measures, but have the constants of the paper's car."""
+    variants = {name: VARIANTS[name] for name in ("pull_to_zero",)}
+    cells = [_cell(scenario, SensorGrade.AUTOMOTIVE, mu, variants) for mu in OTHER_CARS_FRICTIONS_MU]
+    whole = sum(cells, _Gathered())
+    return {"as_it_is": pooled(whole.by_signal["sideslip_rad"], unit="rad")} | {
+        name: pooled(drives, unit="rad") for name, drives in whole.by_variant.items()
+    }
+
+
+def _cell(
+    scenario: Scenario, grade: SensorGrade, base_friction_mu: float, variants: Mapping[str, Variant]
+) -> _Gathered:
     cell = _Gathered()
     for watched in completed_drives(scenario, grade, base_friction_mu=base_friction_mu, drives_count=DRIVES_COUNT):
         if isinstance(watched.result, Rejected):
@@ -110,7 +128,7 @@ def _cell(scenario: Scenario, grade: SensorGrade, base_friction_mu: float) -> _G
             cell.by_signal.setdefault(name, []).append(agreement(estimate[inside], truth[inside]))
         truth = watched.drive.truth.sideslip_rad
         cell.traces.append((watched.result.signals.sideslip_rad, truth))
-        for name, variant in VARIANTS.items():
+        for name, variant in variants.items():
             estimate = varied_signals(watched, watched.result, variant, section=scenario.section).sideslip_rad
             cell.by_variant.setdefault(name, []).append(agreement(estimate[inside], truth[inside]))
     return cell

@@ -98,7 +98,7 @@ def _errors_table(figures: Mapping[str, Any]) -> str:
             rows.append(
                 [
                     f"{SCENARIO_WORDS[name]}, {grade}",
-                    f"{error:.2f} ± {spread:.2f}",
+                    f"{error:.2f} ± {spread:.3f}",
                     f"{np.degrees(found['rms_truth_rad']):.2f}",
                     f"{found['correlation_ratio']:.2f}",
                     f"{np.degrees(found['bias_rad']):+.2f}",
@@ -143,6 +143,21 @@ def _variants_table(figures: Mapping[str, Any]) -> str:
     return table(("error, °: automotive / ideal", *SCENARIO_WORDS.values()), rows)
 
 
+def _cars_table(figures: Mapping[str, Any]) -> str:
+    rows = []
+    for name, words in SCENARIO_WORDS.items():
+        found = figures["other_cars"][name]
+        own = figures["grades"][SensorGrade.AUTOMOTIVE.value][name]["all_frictions"]["sideslip"]
+        ours, zero = found["as_it_is"], found["pull_to_zero"]
+        rows.append(
+            [words]
+            + [f"{np.degrees(one['rms_error_rad']):.2f} ({one['correlation_ratio']:.2f})" for one in (own, ours, zero)]
+            + [f"{np.degrees(ours['rms_truth_rad']):.2f}"]
+        )
+    head = ("error, ° (correlation)", "the paper's car", "other cars", "other cars, F pulling to zero", "none")
+    return table(head, rows)
+
+
 _SIGNALS = {
     "sideslip_rate": ("sideslip rate, °/s", "radps", np.degrees(1.0)),
     "yaw_rate_excess": ("yaw rate excess, °/s", "radps", np.degrees(1.0)),
@@ -172,5 +187,6 @@ TABLES = {
     "errors": _errors_table,
     "frictions": _frictions_table,
     "variants": _variants_table,
+    "cars": _cars_table,
     "signals": _signals_table,
 }
