@@ -173,8 +173,8 @@ class GeoFrame:
 def frame_of(section: RoadSection) -> GeoFrame:
     """Return the frame that fits a section's anchors best: rotation, scale and offset by least squares.
 
-    Kept for the last few sections. Two anchors suffice. Over a section of 1 km positions agree with the map's own projection to centimetres; the
-    rounding of anchors (1e-7 degrees, 0.1 m of station) is what remains.
+    Kept for the last few sections that were asked for. Two anchors suffice. Over a section of 1 km positions agree with
+    the map's own projection to centimetres; the rounding of anchors (1e-7 degrees, 0.1 m of station) is what remains.
 
     Raises:
         SectionError: There are fewer than two anchors, they coincide, or they contradict the centre line.
