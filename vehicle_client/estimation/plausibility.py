@@ -77,7 +77,7 @@ class Level(NamedTuple):
 # In brackets the largest size that good sensors showed, see `bench/onboard/faults.py`.
 FROZEN_S = Level(0.5, 0.5)
 CLIPPED_S = Level(0.1, 0.3)
-TURN_APART = Level(0.2, 0.4)
+TURN_APART = Level(0.3, 0.5)
 TURN_GAIN = Level(0.12, 0.35)
 FORCE_APART = Level(0.2, 0.5)
 FORCE_MPS2 = Level(2.2, 4.0)
@@ -242,7 +242,11 @@ def _bending(channels: dict[str, FloatArray], speed_mps: FloatArray, rows: slice
 
 
 def _turning(blocks: _Blocks, *, track_m: float) -> Iterator[Finding]:
-    """Yield how far the gyro is from what two others agree on, and from the wheels in size."""
+    """Yield how far the gyro is from what two others agree on, in course and in size.
+
+    In size all must be on the same side of it: wheels behind a locked differential hardly differ, a bank takes from the
+    lateral force, and a car that slides understeers.
+    """
     told = {name: _winding(yaw_rate, blocks.speed_mps) for name, yaw_rate in blocks.told_radps.items()}
     gyro = _winding(blocks.gyro_radps, blocks.speed_mps)
     turning = {name: yaw_rate for name, yaw_rate in told.items() if float(np.std(yaw_rate)) > TURNING_MIN_RADPS}
@@ -255,15 +259,21 @@ def _turning(blocks: _Blocks, *, track_m: float) -> Iterator[Finding]:
     apart = 1.0 - max(_correlation(gyro, turning[name]) for name in agreeing)
     yield Finding(Sensor.GYRO, "turns otherwise than " + " and ".join(sorted(agreeing)), apart, TURN_APART)
     if "wheels" in agreeing and apart < TURN_APART.grave:
-        # Noise in either makes the one slope too small and the other too large: the truth lies between them.
-        wheels = turning["wheels"]
-        product = float(gyro @ wheels)
-        lowest, highest = product / float(wheels @ wheels), float(gyro @ gyro) / product
-        error = max(0.0, lowest - 1.0, 1.0 - highest)
         # Loaded tyres of the outer side are flatter than the inner ones, which the wheels show as turning.
         pressed = PRESSED_PER_MPS2 * float(np.mean(blocks.speed_mps**2)) / track_m
-        error = max(0.0, error - pressed)
-        yield Finding(Sensor.GYRO, "turns more or less than the wheels, as a share", error, TURN_GAIN)
+        factors = [
+            (_gain_range(gyro, turning[name]), pressed if name == "wheels" else 0.0) for name in sorted(agreeing)
+        ]
+        too_much = min(lowest - 1.0 - allowed for (lowest, _), allowed in factors)
+        too_little = min(1.0 - highest - allowed for (_, highest), allowed in factors)
+        error = max(0.0, too_much, too_little)
+        yield Finding(Sensor.GYRO, "turns more or less than all others tell, as a share", error, TURN_GAIN)
+
+
+def _gain_range(one: FloatArray, other: FloatArray) -> tuple[float, float]:
+    """Return between which factors one signal is the other's, noise in either granted; they must agree in sign."""
+    product = float(one @ other)
+    return product / float(other @ other), float(one @ one) / product
 
 
 def _winding(yaw_rate_radps: FloatArray, speed_mps: FloatArray) -> FloatArray:
