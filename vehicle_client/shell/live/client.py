@@ -111,7 +111,8 @@ class LiveClient:
         self._made: dict[Attendance, Summarised] = {}
         self._tasks: set[asyncio.Task[None]] = set()
         self._stopping = asyncio.Event()
-        self._moment = Moment(source.now_s(), 0.0, 0.0)
+        self._moment = Moment(0.0, 0.0, 0.0)
+        self._driving = False
         self._assumed_s = -ASSUMED_BEACON_S
         self._delivery = asyncio.Lock()
         self._tried_s: dict[bytes, float] = {}
@@ -244,7 +245,9 @@ class LiveClient:
 
     async def _drive(self) -> None:
         """Follow the sensors; returns after a recording that is played once."""
-        at_s = self._source.now_s()
+        at_s = self._source.start()
+        self._assumed_s = at_s - ASSUMED_BEACON_S
+        self._driving = True
         while not self._source.ended:
             now_s = self._source.now_s()
             while at_s < now_s:
@@ -281,7 +284,8 @@ class LiveClient:
 
     def _hear(self, heard: Heard) -> None:
         self._units.note(heard, now_s=self._clock.now_s())
-        self._obey(self._around.hear(heard.section_id, self._moment, self._fix()))
+        if self._driving:
+            self._obey(self._around.hear(heard.section_id, self._moment, self._fix()))
         if len(self._tools.spool):
             self._begin(self._deliver(frozenset({heard.section_id})))
 

@@ -1,4 +1,4 @@
-"""The last minutes of every sensor, in memory that is taken once and never grows."""
+"""The last minutes of every sensor, in memory that each channel takes once, with its first value, and never grows."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class SampleRing:
     """Every channel's last values, each with its own time, as they came."""
 
     def __init__(self, *, duration_s: float = RING_S) -> None:
-        """Take all the memory there will ever be.
+        """Start empty.
 
         Args:
             duration_s: What is kept at 100 values a second; a channel that speaks faster is kept for less long.
@@ -76,8 +76,13 @@ class SampleRing:
 
     @property
     def size_bytes(self) -> int:
-        """Memory of all arrays."""
+        """Memory of all arrays so far; `limit_bytes` when every channel has spoken."""
         return sum(ring.size_bytes for ring in (*self._channels.values(), self._travelled))
+
+    @property
+    def limit_bytes(self) -> int:
+        """Memory of all arrays when every channel has spoken."""
+        return sum(ring.limit_bytes for ring in (*self._channels.values(), self._travelled))
 
     @property
     def driven_m(self) -> float:
@@ -104,9 +109,9 @@ class SampleRing:
         self._drive(readings)
 
     def time_at(self, driven_m: float) -> float:
-        """Return when the odometer showed a distance, or the start of what is known if that was earlier."""
+        """Return when the odometer showed a distance; minus infinity if that was before all that is known."""
         travelled = self._travelled.since(-np.inf)
-        if len(travelled.time_s) == 0:
+        if len(travelled.time_s) == 0 or driven_m < travelled.values[0]:
             return -np.inf
         at = int(np.searchsorted(travelled.values, driven_m))
         return float(travelled.time_s[min(at, len(travelled.time_s) - 1)])
@@ -171,15 +176,18 @@ class _Ring:
     """Values with increasing times; the oldest make room."""
 
     def __init__(self, capacity_count: int) -> None:
-        # Written once, so that the memory is really there and a long drive holds no surprise.
-        self._time_s = np.full(capacity_count, -np.inf)
-        self._values = np.full(capacity_count, np.nan)
+        self._capacity_count = capacity_count
+        self._time_s = self._values = np.zeros(0)
         self._next = 0
         self._count = 0
 
     @property
     def size_bytes(self) -> int:
         return self._time_s.nbytes + self._values.nbytes
+
+    @property
+    def limit_bytes(self) -> int:
+        return 2 * 8 * self._capacity_count
 
     @property
     def last_s(self) -> float:
@@ -192,7 +200,11 @@ class _Ring:
         self._next = self._count = 0
 
     def append(self, series: Series) -> None:
-        capacity = len(self._time_s)
+        capacity = self._capacity_count
+        if len(self._time_s) == 0:
+            # Written at once, so that the memory is really there and a long drive holds no surprise.
+            self._time_s = np.full(capacity, -np.inf)
+            self._values = np.full(capacity, np.nan)
         time_s, values = series.time_s[-capacity:], series.values[-capacity:]
         at = (self._next + np.arange(len(time_s))) % capacity
         self._time_s[at] = time_s
@@ -202,7 +214,7 @@ class _Ring:
 
     def since(self, since_s: float, *, until_s: float = np.inf) -> Series:
         """Return a copy of what lies between two times, oldest first."""
-        capacity = len(self._time_s)
+        capacity = self._capacity_count
         order = (self._next - self._count + np.arange(self._count)) % capacity
         time_s = self._time_s[order]
         first, end = np.searchsorted(time_s, [since_s, until_s], side="left")

@@ -27,6 +27,10 @@ class Source(Protocol):
         """Whether nothing will come any more."""
         ...
 
+    def start(self) -> float:
+        """Let the clock run, and return its time."""
+        ...
+
     def now_s(self) -> float:
         """Return the time on the clock that the values' times are on."""
         ...
@@ -57,10 +61,10 @@ class PlayedTrace:
     """A recording that is played as if it happened now, so many times as fast."""
 
     def __init__(self, trace: Trace, *, speedup_ratio: float = 1.0) -> None:
-        """Prepare; the clock starts with the first question for the time."""
+        """Prepare."""
         self._trace = trace
         self._speedup_ratio = speedup_ratio
-        self._start_s: float | None = None
+        self._start_s = time.monotonic()
         self._taken_s = -np.inf
         columns = {name: getattr(trace, name) for name in SENSOR_COLUMNS}
         columns |= {name: trace.wheel_speed_mps[:, i] for i, name in enumerate(WHEEL_COLUMNS)}
@@ -74,10 +78,13 @@ class PlayedTrace:
         """Whether everything was played."""
         return self._taken_s >= float(self._trace.time_s[-1])
 
+    def start(self) -> float:
+        """Begin to play, and return the time of the first sample."""
+        self._start_s = time.monotonic()
+        return float(self._trace.time_s[0])
+
     def now_s(self) -> float:
         """Return how far the recording is played, on its own clock."""
-        if self._start_s is None:
-            self._start_s = time.monotonic()
         return float(self._trace.time_s[0]) + (time.monotonic() - self._start_s) * self._speedup_ratio
 
     @property
@@ -119,6 +126,10 @@ class LiveBus:
     def ended(self) -> bool:
         """Whether the bus broke for good."""
         return not self._source.alive
+
+    def start(self) -> float:
+        """Return the time: a bus runs anyway."""
+        return self.now_s()
 
     def now_s(self) -> float:
         """Return the machine's monotonic clock."""

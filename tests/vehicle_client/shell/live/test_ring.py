@@ -69,17 +69,18 @@ def test_a_part_is_cut_by_time():
 
 def test_the_oldest_makes_room_and_memory_never_grows():
     ring = SampleRing(duration_s=10.0)
+    fill(ring, wavy_trace(10))
     before_bytes = ring.size_bytes
     fill(ring, wavy_trace())
     again = ring.trace(since_s=-np.inf)
     assert again is not None
     assert again.samples_count == 1000
     assert again.time_s[-1] == pytest.approx(79.99)
-    assert ring.size_bytes == before_bytes
+    assert ring.size_bytes == before_bytes <= ring.limit_bytes
 
 
 def test_ten_minutes_take_less_than_fourteen_megabytes():
-    assert SampleRing().size_bytes < 14_000_000
+    assert SampleRing().limit_bytes < 14_000_000
 
 
 def test_a_gap_is_not_filled():
@@ -155,7 +156,7 @@ def test_the_odometer_follows_the_wheels_and_is_remembered():
     assert ring.driven_m == pytest.approx(300.0, abs=3.0)
     assert ring.speed_mps == 15.0
     assert ring.time_at(150.0) == pytest.approx(10.0, abs=0.3)
-    assert ring.time_at(-5.0) == pytest.approx(0.0, abs=0.2)
+    assert ring.time_at(-5.0) == -np.inf
 
 
 def test_one_wheel_that_spins_does_not_move_the_car():
