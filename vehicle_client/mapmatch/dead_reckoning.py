@@ -55,7 +55,7 @@ def driven_line(
     velocity_y_mps: FloatArray | None = None,
     vertical_velocity_mps: FloatArray | None = None,
 ) -> DrivenLine:
-    """Return the line of a vehicle from its speed and yaw rate.
+    """Return the line of a vehicle from its speed and yaw rate; what is no number stays none, without a warning.
 
     Args:
         speed_mps: Forward. (n,)
@@ -63,16 +63,17 @@ def driven_line(
         velocity_y_mps: Left, if it is known. (n,)
         vertical_velocity_mps: Up, if it is known. (n,)
     """
-    heading = integral(yaw_rate_radps)
     left = np.zeros_like(speed_mps) if velocity_y_mps is None else velocity_y_mps
-    cos_h, sin_h = np.cos(heading), np.sin(heading)
-    return DrivenLine(
-        distance_m=integral(np.hypot(np.maximum(speed_mps, 0.0), left)),
-        heading_rad=heading,
-        x_m=integral(speed_mps * cos_h - left * sin_h),
-        y_m=integral(speed_mps * sin_h + left * cos_h),
-        height_m=None if vertical_velocity_mps is None else integral(vertical_velocity_mps),
-    )
+    with np.errstate(invalid="ignore", over="ignore"):
+        heading = integral(yaw_rate_radps)
+        cos_h, sin_h = np.cos(heading), np.sin(heading)
+        return DrivenLine(
+            distance_m=integral(np.hypot(np.maximum(speed_mps, 0.0), left)),
+            heading_rad=heading,
+            x_m=integral(speed_mps * cos_h - left * sin_h),
+            y_m=integral(speed_mps * sin_h + left * cos_h),
+            height_m=None if vertical_velocity_mps is None else integral(vertical_velocity_mps),
+        )
 
 
 class Candidate(NamedTuple):

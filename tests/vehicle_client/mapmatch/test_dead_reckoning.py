@@ -1,11 +1,14 @@
 """Finding the section without satellites."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from roadgrip.records import Reason, Rejected
+from roadgrip.section import build_section
 from tests.vehicle_client.synthetic import bump, clock_s, drive_over, negative, road, s_turn
 from vehicle_client.mapmatch.dead_reckoning import driven_line, match_by_dead_reckoning
 from vehicle_client.mapmatch.match import MatchMethod, SectionMatch
@@ -133,3 +136,114 @@ def test_waiting_on_the_approach_does_not_hide_the_section():
     yaw_rate = np.concatenate([trace.yaw_rate_radps[:100], np.zeros(stand), trace.yaw_rate_radps[100:]])
     match = found(match_by_dead_reckoning(driven_line(speed, yaw_rate), clock_s(len(speed)), road(s_turn)))
     assert match.entry_s == pytest.approx(np.interp(0.0, station, trace.time_s) + stand * 0.01, abs=0.05)
+
+
+def hilly(curvature, *, rise_m, length_m=400.0):
+    """Return the section of a curvature that climbs and falls again by so much in its middle."""
+    flat = road(curvature, length_m=length_m)
+    nodes = flat.nodes_m.copy()
+    share = np.linspace(0.0, 1.0, len(nodes))
+    nodes[:, 2] = rise_m * np.sin(np.pi * share) ** 2
+    return build_section(section_id="hilly", name="Hilly", nodes_m=nodes, speed_limit_mps=22.0)
+
+
+def over_hill(*, rise_m):
+    trace, station = drive_over(s_turn)
+    climb = np.gradient(rise_m * np.sin(np.pi * np.clip(station / 400.0, 0.0, 1.0)) ** 2, 0.01)
+    return driven_line(speed_of(trace), trace.yaw_rate_radps, None, climb), trace.time_s
+
+
+def test_the_height_profile_tells_two_roads_of_the_same_bends_apart():
+    line, time_s = over_hill(rise_m=6.0)
+    right = found(match_by_dead_reckoning(line, time_s, hilly(s_turn, rise_m=6.0)))
+    other = match_by_dead_reckoning(line, time_s, hilly(s_turn, rise_m=-6.0))
+    assert isinstance(other, Rejected) or other.confidence_frac < right.confidence_frac
+
+
+def test_an_offset_of_the_accelerometer_does_not_matter():
+    line, time_s = over_hill(rise_m=6.0)
+    drifting = replace(line, height_m=line.height_m + 0.03 * line.distance_m + 500.0)
+    section = hilly(s_turn, rise_m=6.0)
+    plain = found(match_by_dead_reckoning(line, time_s, section))
+    assert found(match_by_dead_reckoning(drifting, time_s, section)).confidence_frac == pytest.approx(
+        plain.confidence_frac, abs=1e-6
+    )
+
+
+@settings(max_examples=15, deadline=None)
+@given(drift_radps=st.floats(-0.002, 0.002), scale_ratio=st.floats(0.995, 1.005), cut=st.floats(0.9, 1.1))
+def test_a_mirrored_drive_matches_a_mirrored_map_identically(drift_radps, scale_ratio, cut):
+    trace, _ = drive_over(s_turn)
+    speed, yaw_rate = scale_ratio * speed_of(trace), cut * trace.yaw_rate_radps + drift_radps
+    here = match_by_dead_reckoning(driven_line(speed, yaw_rate), trace.time_s, road(s_turn))
+    there = match_by_dead_reckoning(driven_line(speed, -yaw_rate), trace.time_s, road(negative(s_turn)))
+    assert type(here) is type(there)
+    if isinstance(here, SectionMatch) and isinstance(there, SectionMatch):
+        assert there.station_m == pytest.approx(here.station_m, abs=1e-3)
+        assert there.confidence_frac == pytest.approx(here.confidence_frac, abs=1e-4)
+
+
+@settings(max_examples=15, deadline=None)
+@given(turned_rad=st.floats(-20.0, 20.0), x_m=st.floats(-1e4, 1e4), y_m=st.floats(-1e4, 1e4))
+def test_where_and_which_way_the_drive_set_out_does_not_matter(turned_rad, x_m, y_m):
+    trace, _ = drive_over(s_turn)
+    line = driven_line(speed_of(trace), trace.yaw_rate_radps)
+    moved = replace(line, heading_rad=line.heading_rad + turned_rad, x_m=line.x_m + x_m, y_m=line.y_m + y_m)
+    here, there = (found(match_by_dead_reckoning(one, trace.time_s, road(s_turn))) for one in (line, moved))
+    assert there.station_m == pytest.approx(here.station_m, abs=1e-6)
+
+
+@settings(max_examples=15, deadline=None)
+@given(more_m=st.floats(0.0, 800.0))
+def test_a_longer_approach_changes_no_station(more_m):
+    short, _ = drive_over(s_turn, approach_m=80.0)
+    long, _ = drive_over(s_turn, approach_m=80.0 + more_m)
+    here, there = found(matched(short, road(s_turn))), found(matched(long, road(s_turn)))
+    # The first sample of either drive lies on the approach; counted from the exit they are the same drive.
+    offset = there.exit_s - here.exit_s
+    times = here.exit_s - np.arange(0.0, 20.0, 0.5)
+    before = np.interp(times, short.time_s, here.station_m)
+    after = np.interp(times + offset, long.time_s, there.station_m)
+    assert after == pytest.approx(before, abs=0.3)
+
+
+def test_the_order_of_the_sections_that_are_asked_about_is_irrelevant():
+    trace, _ = drive_over(s_turn)
+    sections = [road(s_turn), road(hairpin), road(negative(s_turn))]
+
+    def answers(order):
+        return {order[k]: str(matched(trace, sections[order[k]])) for k in range(3)}
+
+    assert answers([0, 1, 2]) == answers([2, 0, 1])
+
+
+def test_of_two_passages_in_one_drive_the_later_one_counts():
+    trace, station = drive_over(s_turn)
+    line = driven_line(np.tile(speed_of(trace), 2), np.tile(trace.yaw_rate_radps, 2))
+    match = found(match_by_dead_reckoning(line, clock_s(2 * len(station)), road(s_turn)))
+    once = len(station) * 0.01
+    assert match.entry_s == pytest.approx(once + np.interp(0.0, station, trace.time_s), abs=0.05)
+
+
+def test_a_drive_that_turns_off_in_the_middle_is_no_passage():
+    trace, station = drive_over(s_turn)
+    on_it = station < 200.0
+    away = np.full(400, 0.4)
+    speed = np.concatenate([speed_of(trace)[on_it], np.full(2400, 10.0)])
+    yaw_rate = np.concatenate([trace.yaw_rate_radps[on_it], away, np.zeros(2000)])
+    line = driven_line(speed, yaw_rate)
+    assert isinstance(match_by_dead_reckoning(line, clock_s(len(speed)), road(s_turn)), Rejected)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    speeds=st.lists(st.floats(allow_nan=True, allow_infinity=True, width=32), min_size=1, max_size=60),
+    rates=st.lists(st.floats(allow_nan=True, allow_infinity=True, width=32), min_size=1, max_size=60),
+    climbs=st.lists(st.floats(allow_nan=True, allow_infinity=True, width=32), min_size=1, max_size=60),
+)
+def test_garbage_is_refused_without_an_exception(speeds, rates, climbs):
+    with np.errstate(all="ignore"):
+        speed, rate, climb = (np.resize(np.array(v, dtype=np.float64), 1200) for v in (speeds, rates, climbs))
+        line = driven_line(speed, rate, None, climb)
+        outcome = match_by_dead_reckoning(line, clock_s(1200), road(s_turn))
+    assert isinstance(outcome, Rejected)
