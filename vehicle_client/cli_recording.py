@@ -135,6 +135,31 @@ def survey(  # noqa: PLR0917 - typer reads options by name
         )
 
 
+def inspect(
+    recording: Recorded,
+    signals: Signals = "",
+    vehicle: Vehicle = None,
+    recording_format: Format = RecordingFormat.ROADGRIP,
+    as_json: AsJson = False,
+) -> None:
+    """Say what each channel of a recording holds, and whether its sign, axis and unit look right.
+
+    Compares the channels with each other: yaw rate with the wheels, lateral acceleration with yaw rate and speed,
+    steering with the curve, forward acceleration with the change of speed, all of them with positions. A few minutes
+    with some curves are best. Exit code 1 if something is off; the hint says what to write into the mapping.
+    """
+    from vehicle_client.recording.inspection import inspect_trace
+    from vehicle_client.shell.inspected import findings_table, findings_to_json, something_is_off
+
+    drive = _read(recording, RecordedAs(recording_format, signals, vehicle))
+    findings = inspect_trace(drive.recording.trace, drive.vehicle.geometry, counts=drive.counts)
+    if as_json:
+        print(json.dumps(findings_to_json(findings, drive), indent=1))
+    else:
+        Console().print(findings_table(findings, drive))
+    raise typer.Exit(1 if something_is_off(findings) else 0)
+
+
 def _read(path: Path, recorded: RecordedAs) -> RecordedDrive:
     from vehicle_client.shell.recorded import read_drive
 

@@ -50,6 +50,8 @@ def add_mf4(path: Path, collector: SeriesCollector, *, watch: Callable[[int, flo
     """
     import asammdf
 
+    with path.open("rb"):  # what cannot be opened says so in the words of the system
+        pass
     try:
         file: Any = asammdf.MDF(path)
     except OSError:
