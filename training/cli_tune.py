@@ -223,7 +223,7 @@ def _print(tuning: Tuning, names: tuple[str, ...]) -> None:
         if judged is not None:
             before, after = judged
             errors = (f"{math.degrees(rad):.3f}" for rad in (before.truth_rms_rad, before.rms_rad, after.rms_rad))
-            correlations = f"{before.correlation:.2f} to {after.correlation:.2f}"
+            correlations = f"{before.correlation:.3f} to {after.correlation:.3f}"
             shown.add_row(what, f"{before.judged_s:.0f}", *errors, correlations)
     Console().print(shown)
     constants = Table("constant", "before", "after", "")

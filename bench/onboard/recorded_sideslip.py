@@ -26,11 +26,13 @@ from vehicle_client.recording.foreign import Recording
 
 TUNED_FRAC = 0.5
 EVALUATIONS_COUNT = 600
+EVALUATIONS_OF_FEW_COUNT = 150
 SEED = 1
 CAUSAL_EVERY_S = 25.0
 """How often a car that estimates as it goes looks at the straights behind it."""
-ROLL_GAINS = np.arange(0.0, 0.0801, 0.005)
-CROSSOVERS_HZ = (0.01, 0.015, 0.02, 0.03, 0.05, 0.07, 0.1, 0.15)
+SLOW_CROSSOVER_HZ = 0.02
+OF_THE_BODY = ("rear_slip_gradient_s2pm", "roll_gradient_s2pm", "roll_crossover_hz")
+"""Constants that a person could measure on the car, unlike those of the observer."""
 SLIP_GRADIENTS_S2PM = np.arange(0.002, 0.01201, 0.00025)
 PULLS = {"to_zero": PULL_TO_ZERO, "to_gripping_car": PAPER_PARAMETERS}
 SMALL, LARGE = 1e-6, 1e6
@@ -146,81 +148,72 @@ def by_pull(racing: Racing) -> dict[str, Any]:
 
 
 def improvements(racing: Racing) -> tuple[dict[str, Any], ObserverParameters]:
-    """Return what each improvement does by itself and with those before it, and the recalibrated constants."""
+    """Return what each improvement does, with the evidence for it, and the constants recalibrated for the vehicle."""
     trace, reference = racing.recording.trace, racing.recording.reference
     accel_y, yaw_rate = trace.accel_y_mps2, trace.yaw_rate_radps
     speed, velocity_y = reference["velocity_x_mps"], reference["velocity_y_mps"]
     first = racing.moving & ~racing.later
     laps = laps_of(speed, yaw_rate)
-
     gravity = gravity_by_reference_mps2(accel_y, yaw_rate, speed, velocity_y)
     force = smoothed(accel_y)
-    roll_gain, told_offset = np.polyfit(force[first], gravity[first], 1)
-    bank = bank_of_other_laps_rad(gravity, laps)
-    bank_levelled = bank_of_other_laps_rad(gravity - roll_gain * force, laps)
-    levelled = (1.0 - roll_gain) * accel_y
-    on_bank = accel_y - GRAVITY_MPS2 * np.sin(bank)
-    on_bank_levelled = levelled - GRAVITY_MPS2 * np.sin(bank_levelled)
-    own_bank = bank_of_other_laps_rad(smoothed(accel_y) - smoothed(yaw_rate * speed), laps)
+    roll_gain, told_offset = (float(told) for told in np.polyfit(force[first], gravity[first], 1))
+    roll_gradient = roll_gain / GRAVITY_MPS2
+    bank = bank_of_other_laps_rad(gravity - roll_gain * force, laps)
+    own_bank = bank_of_other_laps_rad(force - smoothed(yaw_rate * speed), laps)
     causal_yaw_rate, causal_accel_y = causal_offsets(racing)
-    recalibrated = recalibrated_parameters(racing, accel_y)
-    recalibrated_to_zero = recalibrated_parameters(racing, accel_y, start=PULL_TO_ZERO)
-    recalibrated_levelled = recalibrated_parameters(racing, levelled)
-    crossover_hz, gain_and_crossover = _gain_and_crossover(racing)
+    straights = offsets_of_straights(racing)
+    so_far = replace(trace, accel_y_mps2=accel_y - causal_accel_y, yaw_rate_radps=yaw_rate - causal_yaw_rate)
+    causal = replace(racing, recording=replace(racing.recording, trace=so_far))
 
     def row(
-        parameters: ObserverParameters, accel: FloatArray | None = None, offsets: SensorOffsets = NO_OFFSETS
+        parameters: ObserverParameters, *, bank_rad: FloatArray | None = None, offsets: SensorOffsets = NO_OFFSETS
     ) -> Any:
-        return racing.judged(racing.estimate_rad(parameters, accel_y_mps2=accel, offsets=offsets))
+        levelled = None if bank_rad is None else accel_y - GRAVITY_MPS2 * np.sin(bank_rad)
+        return racing.judged(racing.estimate_rad(parameters, accel_y_mps2=levelled, offsets=offsets))
 
-    causal = replace(
-        racing,
-        recording=replace(
-            racing.recording,
-            trace=replace(trace, accel_y_mps2=accel_y - causal_accel_y, yaw_rate_radps=yaw_rate - causal_yaw_rate),
-        ),
-    )
     rows: dict[str, Any] = {}
+    found: dict[str, ObserverParameters] = {}
     for name, parameters in PULLS.items():
-        slow = replace(parameters, roll_crossover_hz=0.02)
+        rolling = replace(parameters, roll_gradient_s2pm=roll_gradient)
+        slow = replace(rolling, roll_crossover_hz=SLOW_CROSSOVER_HZ)
+        of_body = [constant for constant in OF_THE_BODY if _moves(constant, parameters)]
+        found[name] = recalibrated_parameters(
+            racing, parameters, [c for c in usual_constants() if _moves(c, parameters)]
+        )
         rows[name] = {
             "before": row(parameters),
             "offsets_causal": causal.judged(causal.estimate_rad(parameters)),
-            "offsets_whole_recording": row(parameters, offsets=offsets_of_straights(racing)),
-            "offset_by_reference": row(parameters, accel_y - float(np.mean(gravity[first]))),
-            "slow_crossover": row(slow),
-            "roll_gain": row(parameters, levelled),
-            "roll_gain_slow_crossover": row(slow, levelled),
-            "bank_own_sensors": row(slow, accel_y - GRAVITY_MPS2 * np.sin(own_bank)),
-            "bank": row(slow, on_bank),
-            "roll_gain_bank": row(slow, on_bank_levelled),
+            "offsets_whole_recording": row(parameters, offsets=straights),
+            "offset_by_reference": row(parameters, offsets=replace(NO_OFFSETS, accel_y_mps2=told_offset)),
+            "no_roll_gradient": row(replace(parameters, roll_gradient_s2pm=0.0)),
+            "roll_gradient": row(rolling),
+            "roll_gradient_slow_crossover": row(slow),
+            "bank_own_sensors": row(slow, bank_rad=own_bank),
+            "bank": row(rolling, bank_rad=bank),
+            "bank_slow_crossover": row(slow, bank_rad=bank),
+            "recalibrated_body": row(
+                recalibrated_parameters(racing, parameters, of_body, evaluations_count=EVALUATIONS_OF_FEW_COUNT)
+            ),
+            "recalibrated": row(found[name]),
         }
-    rows["to_zero"]["roll_gain_and_crossover_fitted"] = row(
-        replace(PULL_TO_ZERO, roll_crossover_hz=crossover_hz), (1.0 - gain_and_crossover) * accel_y
-    )
-    rows["to_zero"]["recalibrated"] = row(recalibrated_to_zero)
-    rows["to_gripping_car"]["recalibrated"] = row(recalibrated)
-    rows["to_gripping_car"]["recalibrated_roll_gain"] = row(recalibrated_levelled, levelled)
-    whole = offsets_of_straights(racing)
+    recalibrated = found["to_gripping_car"]
+    left_over = gravity - roll_gain * force - GRAVITY_MPS2 * np.sin(bank)
     evidence = {
         "laps_count": laps.laps_count,
         "lap_m": laps.lap_m,
         "gravity_std_mps2": float(np.std(gravity[racing.moving])),
         "gravity_slower_than_tenth_hz_std_mps2": float(np.std(slow_part(gravity, crossover_hz=0.1)[racing.moving])),
-        "gravity_less_roll_and_bank_std_mps2": float(
-            np.std((gravity - roll_gain * force - GRAVITY_MPS2 * np.sin(bank_levelled))[racing.moving])
-        ),
+        "gravity_less_roll_and_bank_std_mps2": float(np.std(left_over[racing.moving])),
         "gravity_repeats_next_lap_correlation_ratio": repeats_correlation(
             slow_part(gravity, crossover_hz=0.5), laps, speed
         ),
         "sideslip_repeats_next_lap_correlation_ratio": repeats_correlation(racing.truth_rad, laps, speed),
-        "bank_largest_rad": float(np.abs(bank_levelled).max()),
-        "roll_gain_by_reference_ratio": float(roll_gain),
-        "offset_by_reference_mps2": float(told_offset),
-        "fitted_to_zero": {"roll_gain_ratio": gain_and_crossover, "crossover_hz": crossover_hz},
-        "offset_of_straights_mps2": whole.accel_y_mps2,
-        "offset_of_straights_std_mps2": whole.accel_y_std_mps2,
-        "longest_straight_s": whole.straight_s,
+        "bank_largest_rad": float(np.abs(bank).max()),
+        "roll_gradient_by_reference_s2pm": roll_gradient,
+        "offset_by_reference_mps2": told_offset,
+        "offset_of_straights_mps2": straights.accel_y_mps2,
+        "offset_of_straights_std_mps2": straights.accel_y_std_mps2,
+        "longest_straight_s": straights.straight_s,
     }
     constants = {
         name: {"before": getattr(PAPER_PARAMETERS, name), "after": getattr(recalibrated, name)}
@@ -230,19 +223,22 @@ def improvements(racing: Racing) -> tuple[dict[str, Any], ObserverParameters]:
 
 
 def recalibrated_parameters(
-    racing: Racing, accel_y_mps2: FloatArray, *, start: ObserverParameters = PAPER_PARAMETERS
+    racing: Racing,
+    start: ObserverParameters,
+    constants: Sequence[str],
+    *,
+    evaluations_count: int = EVALUATIONS_COUNT,
 ) -> ObserverParameters:
-    """Return the constants that the tuner finds on the first half; pulled to zero, the model's stay out of it."""
-    recording = replace(racing.recording, trace=replace(racing.recording.trace, accel_y_mps2=accel_y_mps2))
-    part, _ = parts_of_recording(recording, name="first half", vehicle=racing.vehicle, tuned_frac=TUNED_FRAC)
-    fixed = () if start.grip_pull_ratio > 0.0 else ("rear_slip_gradient_s2pm", "grip_pull_ratio")
+    """Return what the tuner finds on the first half, as `roadgrip-train tune-observer` does."""
+    part, _ = parts_of_recording(racing.recording, name="first half", vehicle=racing.vehicle, tuned_frac=TUNED_FRAC)
     return best_parameters(
-        [part],
-        start,
-        constants=[name for name in usual_constants() if name not in fixed],
-        evaluations_limit_count=EVALUATIONS_COUNT,
-        seed=SEED,
+        [part], start, constants=constants, evaluations_limit_count=evaluations_count, seed=SEED
     ).parameters
+
+
+def _moves(constant: str, parameters: ObserverParameters) -> bool:
+    """Return whether a constant changes anything: pulled to zero, the gripping car's do not."""
+    return parameters.grip_pull_ratio > 0.0 or constant not in {"rear_slip_gradient_s2pm", "grip_pull_ratio"}
 
 
 def offsets_of_straights(racing: Racing, *, until: int | None = None) -> SensorOffsets:
@@ -275,17 +271,3 @@ def causal_offsets(racing: Racing) -> tuple[FloatArray, FloatArray]:
         known = offsets_of_straights(racing, until=begin)
         yaw_rate[begin : begin + every], accel_y[begin : begin + every] = known.yaw_rate_radps, known.accel_y_mps2
     return yaw_rate, accel_y
-
-
-def _gain_and_crossover(racing: Racing) -> tuple[float, float]:
-    """Return crossover and roll gain that leave the least error on the first half, pulled to zero."""
-    first = racing.moving & ~racing.later
-    accel_y = racing.recording.trace.accel_y_mps2
-
-    def error(crossover_hz: float, gain: float) -> float:
-        parameters = replace(PULL_TO_ZERO, roll_crossover_hz=crossover_hz)
-        found = racing.estimate_rad(parameters, accel_y_mps2=(1.0 - gain) * accel_y)
-        return rms(found[first] - racing.truth_rad[first])
-
-    tried: Sequence[tuple[float, float]] = [(f, float(gain)) for f in CROSSOVERS_HZ for gain in ROLL_GAINS]
-    return min(tried, key=lambda pair: error(*pair))
