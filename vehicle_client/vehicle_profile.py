@@ -8,7 +8,7 @@ track_m = 1.670
 front_axle_m = 1.43
 
 [observer]            # `ObserverParameters`: the paper's constants where nothing is said
-roll_crossover_hz = 0.1
+rear_slip_gradient_s2pm = 0.0075
 lowpass = "hamming_fir"  # or "butterworth"
 """
 
