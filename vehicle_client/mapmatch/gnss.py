@@ -24,6 +24,9 @@ APART_LIMIT_M = 15.0
 """A fix may lie so far from where the vehicle is on the map; two lanes and a few metres of receiver and odometer."""
 AGREEING_MIN_FRAC = 0.7
 """So many fixes must lie that near."""
+END_FRAC = 0.1
+CROSSED_MIN_FRAC = 0.5
+"""Half of the fixes along the first and the last tenth must agree: on a ramp a car leaves late, and yet leaves."""
 AGREEING_WELL_FRAC = 0.9
 ACCURACY_POOR_M = 10.0
 SILENT_LIMIT_S = 2.5
@@ -105,9 +108,16 @@ def match_by_gnss(
     apart = np.hypot(
         x - np.interp(reckoned, profile.station_m, profile.x_m), y - np.interp(reckoned, profile.station_m, profile.y_m)
     )[along]
-    agreeing_frac = float(np.mean(apart <= APART_LIMIT_M))
+    agreeing = apart <= APART_LIMIT_M
+    agreeing_frac = float(np.mean(agreeing))
+    ends = reckoned[along] / length
+    crossed_frac = min(
+        float(np.mean(agreeing[end])) if end.any() else 1.0 for end in (ends < END_FRAC, ends > 1.0 - END_FRAC)
+    )
     stations = shift + scale * line.distance_m
-    refusal = _refusal(stations, lateral[along], agreeing_frac=agreeing_frac, length_m=length)
+    refusal = _refusal(
+        stations, lateral[along], agreeing_frac=agreeing_frac, crossed_frac=crossed_frac, length_m=length
+    )
     if refusal is not None:
         return refusal
     return section_match(
@@ -122,7 +132,7 @@ def match_by_gnss(
 
 
 def _refusal(
-    stations_m: FloatArray, lateral_m: FloatArray, *, agreeing_frac: float, length_m: float
+    stations_m: FloatArray, lateral_m: FloatArray, *, agreeing_frac: float, crossed_frac: float, length_m: float
 ) -> Rejected | None:
     """Return why a fitted drive is no passage of the section, if it is none."""
     if agreeing_frac < AGREEING_MIN_FRAC:
@@ -130,6 +140,10 @@ def _refusal(
         if aside > APART_LIMIT_M:
             return Rejected(Reason.WRONG_ROAD, f"the fixes lie {aside:.0f} m beside the section")
         return Rejected(Reason.PASSAGE_ABORTED, "the vehicle turned round or left the section on the way")
+    if crossed_frac < CROSSED_MIN_FRAC:
+        return Rejected(
+            Reason.PASSAGE_ABORTED, "the fixes leave the section before its end, or join it after its start"
+        )
     if stations_m[0] > EDGE_TOLERANCE_M:
         return Rejected(Reason.PASSAGE_ABORTED, f"the trace begins {stations_m[0]:.0f} m after the start")
     if stations_m[-1] < length_m - EDGE_TOLERANCE_M:
