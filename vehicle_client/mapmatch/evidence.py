@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 POSITION_STD_LIMIT_M = 15.0
 HEADING_RMS_LIMIT_RAD = 0.15
 """Beyond it nothing else is looked at."""
-CONFIDENCE_MIN_FRAC = 0.9
-"""Reporting a foreign road is worse than keeping silent about one's own."""
+CONFIDENCE_MIN_FRAC = 0.8
+"""Below one foreign road in a hundred on random roads; a higher one would refuse cars that slide on slippery roads."""
 
 
 class Weights(NamedTuple):
@@ -36,6 +36,7 @@ class Weights(NamedTuple):
         curvature: Of the curvature misfit.
         lateral: Of the distance between the lines.
         height: Of the difference in height.
+        length: Of the length.
         places: Of the number of places.
     """
 
@@ -44,12 +45,15 @@ class Weights(NamedTuple):
     curvature: float
     lateral: float
     height: float
+    length: float
     places: float
 
 
-PLANE_WEIGHTS = Weights(start=-4.82, vote=0.93, curvature=-2.17, lateral=-2.53, height=0.00, places=-0.68)
+PLANE_WEIGHTS = Weights(start=-4.00, vote=-2.20, curvature=-1.46, lateral=-0.94, height=0.00, length=1.34, places=1.92)
 """For drives without heights."""
-SPATIAL_WEIGHTS = Weights(start=-5.91, vote=0.92, curvature=-2.09, lateral=-2.41, height=-0.64, places=-0.71)
+SPATIAL_WEIGHTS = Weights(
+    start=0.00, vote=1.45, curvature=-1.51, lateral=-0.85, height=-0.26, length=1.55, places=-0.38
+)
 """For drives with heights."""
 CURVATURE_FLOOR_FRAC = 0.02
 LATERAL_FLOOR_M = 0.1
@@ -70,6 +74,7 @@ class Evidence:
         height_rms_m: Difference of the heights, without what else an accelerometer takes for a climb: its offset (a
             straight line over the distance), its scale and the car's pitching (a share of the speed squared), and
             sideslip (the lateral acceleration squared, summed up). None if the drive has no height.
+        length_m: Of the stretch: what a gyro and an accelerometer add up to grows with it.
         places_count: How many sections of this length the drive has room for: each is a chance to be wrong.
         position_std_m: Standard deviation of the stations.
     """
@@ -78,6 +83,7 @@ class Evidence:
     curvature_misfit_frac: float
     lateral_rms_m: float
     height_rms_m: float | None
+    length_m: float
     places_count: float
     position_std_m: float
 
@@ -92,6 +98,7 @@ class Evidence:
             + weights.curvature * float(np.log(self.curvature_misfit_frac + CURVATURE_FLOOR_FRAC))
             + weights.lateral * float(np.log(self.lateral_rms_m + LATERAL_FLOOR_M))
             + weights.height * float(np.log(height_m + HEIGHT_FLOOR_M))
+            + weights.length * float(np.log(self.length_m))
             + weights.places * float(np.log(self.places_count))
         )
 
@@ -152,6 +159,7 @@ def evidence_of(
         curvature_misfit_frac=_rms(off) / max(1e-9, _rms(stretch.curvature_1pm)),
         lateral_rms_m=_rms(_without(np.cumsum(alignment.residual_rad) * FINE_STEP_M, stretch.centred_m)),
         height_rms_m=height,
+        length_m=stretch.length_m,
         places_count=max(1.0, drive.length_m / stretch.length_m),
         position_std_m=alignment.position_std_m,
     )

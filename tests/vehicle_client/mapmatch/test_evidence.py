@@ -13,6 +13,7 @@ GOOD = Evidence(
     curvature_misfit_frac=0.04,
     lateral_rms_m=0.15,
     height_rms_m=0.05,
+    length_m=300.0,
     places_count=1.5,
     position_std_m=1.0,
 )
