@@ -49,10 +49,10 @@ class Weights(NamedTuple):
     places: float
 
 
-PLANE_WEIGHTS = Weights(start=-4.00, vote=-2.20, curvature=-1.46, lateral=-0.94, height=0.00, length=1.34, places=1.92)
+PLANE_WEIGHTS = Weights(start=-7.73, vote=0.98, curvature=-2.17, lateral=-2.53, height=0.00, length=0.63, places=-0.72)
 """For drives without heights."""
 SPATIAL_WEIGHTS = Weights(
-    start=0.00, vote=1.45, curvature=-1.51, lateral=-0.85, height=-0.26, length=1.55, places=-0.38
+    start=-9.67, vote=0.95, curvature=-2.02, lateral=-2.53, height=-0.44, length=0.88, places=-0.71
 )
 """For drives with heights."""
 CURVATURE_FLOOR_FRAC = 0.02
