@@ -19,15 +19,24 @@ _SPIKES = (
     ("accel_y_mps2", 25.0),
     ("roll_rate_radps", 1.0),
     ("yaw_rate_radps", 0.5),
-    ("steer_rad", 0.15),
+    ("steer_rad", 0.05),
 )
 """How far a sample may lie from both neighbours (on the same side) before it cannot be the car's motion."""
+_REACH = (
+    ("accel_x_mps2", 500.0),
+    ("accel_y_mps2", 500.0),
+    ("roll_rate_radps", 35.0),
+    ("yaw_rate_radps", 35.0),
+    ("steer_rad", 1.5),
+    ("wheel_speed_mps", 150.0),
+)
+"""Larger numbers are no reading of a car's sensor but an error code or a broken message."""
 
 
 def believable(trace: Trace) -> BoolArray:
-    """Return which samples are there and not a spike of a single sample. (n,)
+    """Return which samples are there, within what sensors can read, and not a spike of a single sample. (n,)
 
-    A spike leaves both neighbours by more than 25 m/s^2, 1 rad/s of roll, 0.5 rad/s of yaw or 0.15 rad of steering
+    A spike leaves both neighbours by more than 25 m/s^2, 1 rad/s of roll, 0.5 rad/s of yaw or 0.05 rad of steering
     within 10 ms and comes back: wires do that, cars do not.
 
     Raises:
@@ -35,8 +44,14 @@ def believable(trace: Trace) -> BoolArray:
     """
     check_trace(trace)
     valid = trace.valid.copy()
+    for name, reach in _REACH:
+        channel = getattr(trace, name)
+        # What is not valid may be anything, NaN included; a comparison with it is false.
+        within = np.abs(channel) <= reach
+        valid &= within if within.ndim == 1 else within.all(axis=1)
+    there = valid.copy()
     for name, limit in _SPIKES:
-        values: FloatArray = np.where(trace.valid, getattr(trace, name), np.nan)
+        values: FloatArray = np.where(there, getattr(trace, name), np.nan)
         step = np.diff(values)
         up, down = step[:-1], -step[1:]
         # A comparison with NaN is false, as it should be: the neighbour of a gap is not a spike.

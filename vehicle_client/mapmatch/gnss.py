@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -43,6 +44,7 @@ UNSEEN_LIMIT_FRAC = 0.7
 """Without a fix for so much of the section's length, a passage may have gone unseen."""
 COVERAGE_MIN_FRAC = 0.3
 """Dropouts are bridged, but the fixes must span this share of the section."""
+SPEED_LIMIT_MPS = 150.0
 SCALE_STD_RATIO = 0.01
 TREND_MIN_RATIO = 0.5
 """Stations that fall by more than this per metre driven: the other direction."""
@@ -50,6 +52,19 @@ _JUMP_M = 60.0
 _ROUNDS_COUNT = 5
 _PAIRS_LIMIT_COUNT = 2_000_000
 _POINTS_AT_ONCE_COUNT = 48
+
+
+def readable_fixes(gnss: GnssTrack) -> GnssTrack:
+    """Return the fixes that are numbers and in the order of time; speeds that no car drives are NaN."""
+    numbers = np.isfinite(gnss.time_s) & (np.abs(gnss.lat_deg) <= 90.0) & (np.abs(gnss.lon_deg) <= 180.0)
+    kept = gnss if numbers.all() else gnss.where(numbers)
+    if len(kept.time_s) > 1 and not (np.diff(kept.time_s) > 0.0).all():
+        latest = np.maximum.accumulate(kept.time_s)
+        kept = kept.where(np.concatenate([[True], kept.time_s[1:] > latest[:-1]]))
+    if kept.speed_mps is None:
+        return kept
+    driven = (kept.speed_mps >= 0.0) & (kept.speed_mps <= SPEED_LIMIT_MPS)
+    return replace(kept, speed_mps=np.where(driven, kept.speed_mps, np.nan))
 
 
 def positions_usable(gnss: GnssTrack | None, section: RoadSection) -> bool:
@@ -97,7 +112,7 @@ def match_by_gnss(
         if within.any() or unseen > UNSEEN_LIMIT_FRAC * length:
             return None
         return Rejected(Reason.WRONG_ROAD, "the fixes stay away from the section")
-    if float(np.polyfit(travelled[near] - travelled[near].mean(), station[near], 1)[0]) < -TREND_MIN_RATIO:
+    if _trend(station[near], travelled[near]) < -TREND_MIN_RATIO:
         return Rejected(Reason.WRONG_ROAD, "driven against the direction of the section")
     shift, scale = _odometer_fit(station[near], travelled[near])
     reckoned = shift + scale * travelled
@@ -184,8 +199,14 @@ def poor_along(gnss: GnssTrack, line: DrivenLine, time_s: FloatArray, match: Sec
 
 def _good(gnss: GnssTrack) -> BoolArray:
     finite = np.isfinite(gnss.lat_deg) & np.isfinite(gnss.lon_deg) & np.isfinite(gnss.time_s)
-    on_earth = (np.abs(gnss.lat_deg) <= 90.0) & (np.abs(gnss.lon_deg) <= 180.0)
-    return finite & on_earth & (gnss.accuracy_m >= 0.0) & (gnss.accuracy_m <= ACCURACY_LIMIT_M)
+    return finite & (gnss.accuracy_m >= 0.0) & (gnss.accuracy_m <= ACCURACY_LIMIT_M)
+
+
+def _trend(station_m: FloatArray, travelled_m: FloatArray) -> float:
+    """Return how many metres of the section a metre driven makes; 0 for a vehicle that stands."""
+    driven = travelled_m - travelled_m.mean()
+    power = float(driven @ driven)
+    return float(driven @ station_m) / power if power > 1.0 else 0.0
 
 
 def _projected(x_m: FloatArray, y_m: FloatArray, profile: SectionProfile) -> tuple[FloatArray, FloatArray]:

@@ -24,7 +24,14 @@ from roadgrip.records import Reason, Rejected
 from roadgrip.units import SAMPLE_S
 from vehicle_client.estimation.plausibility import Finding, Level, Sensor
 from vehicle_client.mapmatch.dead_reckoning import match_by_dead_reckoning
-from vehicle_client.mapmatch.gnss import APART_LIMIT_M, live_fixes, match_by_gnss, poor_along, positions_usable
+from vehicle_client.mapmatch.gnss import (
+    APART_LIMIT_M,
+    live_fixes,
+    match_by_gnss,
+    poor_along,
+    positions_usable,
+    readable_fixes,
+)
 from vehicle_client.mapmatch.heading import heading_findings, heading_fit
 from vehicle_client.mapmatch.match import SectionMatch
 
@@ -90,6 +97,7 @@ def placed(gnss: GnssTrack | None, line: DrivenLine, time_s: FloatArray, section
     """
     if gnss is None or len(section.anchors) < 2 or len(gnss.time_s) == 0:
         return _by_motion(line, time_s, section)
+    gnss = readable_fixes(gnss)
     if not positions_usable(gnss, section):
         return _by_motion(line, time_s, section, gnss_poor=True)
     found = match_by_gnss(gnss, line, time_s, section)
@@ -233,13 +241,15 @@ def _rolling(
         return (), False
     at_s = gnss.time_s[used]
     by_positions = _chords_ratio(gnss.where(used), line, time_s, section) - 1.0
-    if gnss.speed_mps is None or not np.isfinite(gnss.speed_mps[used]).all():
+    doppler = gnss.speed_mps
+    if doppler is None or not np.isfinite(doppler[used]).any():
         return (
             Finding(Sensor.WHEELS, "differs from the positions', as a share", abs(by_positions), ROLLING_RATIO),
         ), False
+    told = np.isfinite(doppler[used])
     reach = 10 * SAMPLE_S
     wheels = np.interp(at_s + reach, time_s, line.distance_m) - np.interp(at_s - reach, time_s, line.distance_m)
-    by_speed = float(gnss.speed_mps[used].mean()) * 2.0 * reach / max(float(wheels.mean()), 1e-3) - 1.0
+    by_speed = float(np.mean(doppler[used][told])) * 2.0 * reach / max(float(np.mean(wheels[told])), 1e-3) - 1.0
     if abs(by_speed - by_positions) >= ROLLING_RATIO.doubtful:
         return (), True
     return (Finding(Sensor.WHEELS, "differs from the receiver's, as a share", abs(by_speed), ROLLING_RATIO),), False
