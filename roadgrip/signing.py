@@ -4,6 +4,8 @@ A signature covers the payload, the protected header with the key's id, and the 
 kind, so that a signed ARRIVAL can never pass for anything else. Who may sign what is decided by which keys a
 receiver is given: a vehicle holds the keys of road side units, a unit those of the vehicles it serves. A vehicle's
 key should be a pseudonym or a group's key, since its id is visible in every message it signs.
+
+The library of the cryptography is loaded with the first key: a car without keys saves 7 MB and its start some time.
 """
 
 from __future__ import annotations
@@ -11,15 +13,16 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import cbor2
-from cryptography.exceptions import InvalidSignature
-from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
-from cryptography.hazmat.primitives.serialization import load_pem_private_key, load_pem_public_key
 
 from roadgrip.cbor import TAG_SIGN1, strict_dumps, strict_loads
 from roadgrip.errors import ConfigurationError, WireError
 from roadgrip.reasons import Reason
+
+if TYPE_CHECKING:
+    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
 
 KEY_ID_BYTES = 8
 KEY_ID_LIMIT_BYTES = 32
@@ -71,6 +74,9 @@ def signer_from_pem(pem: bytes) -> Signer:
     Raises:
         ConfigurationError: It is no such key.
     """
+    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+    from cryptography.hazmat.primitives.serialization import load_pem_private_key
+
     try:
         key = load_pem_private_key(pem, password=None)
     except (ValueError, TypeError) as error:
@@ -88,6 +94,9 @@ def verifier_from_pems(pems: list[bytes], *, required: bool) -> Verifier:
     """
     if required and not pems:
         raise ConfigurationError("signatures are required but no public key is given")
+    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
+    from cryptography.hazmat.primitives.serialization import load_pem_public_key
+
     keys = {}
     for pem in pems:
         try:
@@ -140,6 +149,8 @@ def open_payload(data: bytes, *, verifier: Verifier | None, external_aad: bytes)
     public_key = verifier.public_keys.get(key_id)
     if public_key is None:
         raise WireError(Reason.UNKNOWN_KEY, f"no key {key_id.hex()} here")
+    from cryptography.exceptions import InvalidSignature
+
     try:
         public_key.verify(
             signature, signature_structure(protected=protected, external_aad=external_aad, payload=payload)
