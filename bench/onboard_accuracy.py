@@ -3,7 +3,8 @@
 python -m bench.onboard_accuracy                      everything, some minutes (`make onboard-accuracy`)
 python -m bench.onboard_accuracy sideslip positions   some chapters only; the figures of the others stay
 
-Writes docs/results/onboard/*.svg and accuracy.json, and the tables in docs/onboard-accuracy.md between their marks.
+Writes docs/results/onboard/*.svg and accuracy.json, and the tables in docs/onboard-accuracy.md, docs/vehicle.md and
+docs/sensors.md between their marks.
 Everything is drawn from fixed seeds: the same code gives the same figures, on any number of processes. A chapter
 that needs recordings which are not here says so and is kept as it was.
 """
@@ -29,6 +30,8 @@ ROOT = Path(__file__).resolve().parents[1]
 RESULTS_FOLDER = ROOT / "docs" / "results" / "onboard"
 FIGURES_PATH = RESULTS_FOLDER / "accuracy.json"
 PAGE = ROOT / "docs" / "onboard-accuracy.md"
+PAGES = (PAGE, ROOT / "docs" / "vehicle.md", ROOT / "docs" / "sensors.md")
+"""Where tables of the study stand."""
 
 
 def main() -> None:
@@ -56,7 +59,8 @@ def main() -> None:
                 keep(chapter, figures)
             elif not text.startswith(_KEPT):
                 failed.append(chapter)
-    PAGE.write_text(page_with_tables(PAGE.read_text(encoding="utf-8"), kept_figures()), encoding="utf-8")
+    for page in PAGES:
+        page.write_text(page_with_tables(page.read_text(encoding="utf-8"), kept_figures()), encoding="utf-8")
     print(f"done in {time.monotonic() - started_s:.0f} s: {RESULTS_FOLDER.relative_to(ROOT)}, {PAGE.relative_to(ROOT)}")
     if failed:
         parser.exit(1, f"not made: {', '.join(failed)}\n")
@@ -97,10 +101,10 @@ def keep(chapter: str, figures: dict[str, Any]) -> None:
 
 
 def page_with_tables(page: str, figures: dict[str, Any]) -> str:
-    """Return the page with the tables of all chapters that have figures.
+    """Return a page with the tables of all chapters that have figures; other tables stay.
 
     Args:
-        page: `docs/onboard-accuracy.md`.
+        page: One of `PAGES`.
         figures: What `accuracy.json` holds.
 
     Raises:

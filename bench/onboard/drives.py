@@ -65,6 +65,8 @@ def completed_drives(
 ) -> Iterator[Watched]:
     """Yield the first so many drives of a cell that stayed on the road to the end, summarised or refused.
 
+    All have position fixes: what dead reckoning refuses are not just any drives, but those that slide the most.
+
     Args:
         scenario: Of the cell.
         grade: Which sensors watch.
@@ -75,7 +77,7 @@ def completed_drives(
     road_map = surveyed_map(terms, scenario.section)
     numbers = range(ATTEMPTS_PER_DRIVE_COUNT * drives_count)
     runs = [run_of(terms, scenario, base_friction_mu=base_friction_mu, number=number) for number in numbers]
-    drives = each_passage(scenario.section, (run.plan for run in runs))
+    drives = each_passage(scenario.section, (replace(run.plan, with_gnss=True) for run in runs))
     came_through = ((run, drive) for run, drive in zip(runs, drives, strict=True) if drive.completed)
     for run, drive in islice(came_through, drives_count):
         yield Watched(run, drive, road_map, summarise_passage(drive.trace, road_map, vehicle=run.geometry))

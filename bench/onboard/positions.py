@@ -272,6 +272,18 @@ def _errors_table(figures: Figures) -> str:
     return table(head, rows)
 
 
+def _headline_table(figures: Figures) -> str:
+    rows = []
+    for name, words in WORDS.items():
+        for way, way_words in WAYS.items():
+            found = figures["grades"][SensorGrade.AUTOMOTIVE.value][name][way]
+            errors = found["errors"]
+            ends = (" / ".join(f"{errors[f'{end}_{q}_m']:.1f}" for q in ("q50", "q95")) for end in ("entry", "exit"))
+            refused = found["refused_count"] / found["completed_count"]
+            rows.append([f"{words}, {way_words}", *ends, percent(refused)])
+    return table(("automotive sensors", "entry, m: median / 95 %", "exit, m: median / 95 %", "refused"), rows)
+
+
 def _refused_table(figures: Figures) -> str:
     rows = []
     for grade in GRADES:
@@ -304,4 +316,4 @@ def _reasons(found: Figures) -> str:
     )
 
 
-TABLES = {"errors": _errors_table, "refused": _refused_table}
+TABLES = {"headline": _headline_table, "errors": _errors_table, "refused": _refused_table}

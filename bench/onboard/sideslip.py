@@ -22,7 +22,7 @@ from vehicle_client.simulator.plan import SensorGrade
 
 __all__ = ["TABLES", "draw", "signals_and_truth"]
 
-DRIVES_COUNT = 48
+DRIVES_COUNT = 40
 """Per cell: scenario, base friction, grade of sensors."""
 OTHER_CARS_FRICTIONS_MU = (0.2, 0.45, 0.7)
 EDGES_HZ = (0.03, 0.06, 0.1, 0.15, 0.22, 0.33, 0.5, 0.75, 1.1, 1.7, 2.5, 4.0, 6.0)

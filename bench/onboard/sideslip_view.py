@@ -118,6 +118,19 @@ def _errors_table(figures: Mapping[str, Any]) -> str:
     return table(head, rows)
 
 
+def _headline_table(figures: Mapping[str, Any]) -> str:
+    rows = []
+    for name, words in SCENARIO_WORDS.items():
+        found = figures["grades"][SensorGrade.AUTOMOTIVE.value][name]
+        ours, zero = found["all_frictions"]["sideslip"], found["variants"]["pull_to_zero"]
+        rows.append(
+            [words]
+            + [f"{np.degrees(one['rms_error_rad']):.2f} ({one['correlation_ratio']:.2f})" for one in (ours, zero)]
+            + [f"{np.degrees(ours['rms_truth_rad']):.2f}"]
+        )
+    return table(("sideslip error, ° (correlation)", "estimate", "with the paper's pull to zero", "none"), rows)
+
+
 def _frictions_table(figures: Mapping[str, Any]) -> str:
     rows = []
     automotive = figures["grades"][SensorGrade.AUTOMOTIVE.value]
@@ -184,6 +197,7 @@ def _signals_table(figures: Mapping[str, Any]) -> str:
 
 
 TABLES = {
+    "headline": _headline_table,
     "errors": _errors_table,
     "frictions": _frictions_table,
     "variants": _variants_table,
