@@ -102,6 +102,7 @@ class LiveClient:
         self._maps: OrderedDict[str, RoadSection] = OrderedDict()
         self._cockpit = Cockpit(
             self._clock,
+            passes_of=lambda: self._around.passes,
             map_of=self._maps.get,
             counters=self.counters,
             counts=self._journal.counts,
@@ -273,7 +274,7 @@ class LiveClient:
             for section in self._settings.sections:
                 self._obey(self._around.hear(section.section_id, self._moment, fix))
         self._obey(self._around.move(self._moment, fix))
-        self._cockpit.show_passes(self._around.passes)
+        self._cockpit.refresh()
 
     def _fix(self) -> Position | None:
         lat, lon, accuracy = (self._ring.last(name) for name in ("lat_deg", "lon_deg", "gnss_accuracy_m"))

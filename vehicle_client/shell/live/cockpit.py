@@ -42,6 +42,7 @@ class Cockpit:
         self,
         clock: Clock,
         *,
+        passes_of: Callable[[], tuple[Pass, ...]],
         map_of: Callable[[str], RoadSection | None],
         counters: Callable[[], dict[str, Any]],
         counts: Counter[str],
@@ -51,18 +52,19 @@ class Cockpit:
 
         Args:
             clock: By which advice runs out.
+            passes_of: Gives the open passes.
             map_of: Gives the map of a section, if it is known.
             counters: What readers get who ask for it.
             counts: Where readers and frames are counted.
             send: Puts advice on a CAN bus, if that is wanted.
         """
         self._clock = clock
+        self._passes_of = passes_of
         self._map_of = map_of
         self._counters = counters
         self._counts = counts
         self._send = send
         self._dashboard = Dashboard(present=self._present, counters=self._counters_line, counts=counts)
-        self._sections: tuple[SectionAhead, ...] = ()
         self._advice: dict[str, ShownAdvice] = {}
         self._told: object = None
         self._sequence_number = 0
@@ -89,28 +91,36 @@ class Cockpit:
         """Show advice about a section instead of earlier advice about it."""
         expires_s = self._clock.now_s() + advisory.valid_for_s
         self._advice[section_id] = ShownAdvice(section_id, advisory, expires_s)
-        self._refresh()
+        self.refresh()
 
     def withdraw(self, section_id: str) -> None:
         """Take away advice about a section, because the car has left it or never came to it."""
         self._advice.pop(section_id, None)
-        self._refresh()
+        self.refresh()
 
     def show_map(self, section: RoadSection) -> None:
         """Tell a map, when its pass begins or when it comes."""
         self._dashboard.tell(_map_line(section))
 
-    def show_passes(self, passes: tuple[Pass, ...]) -> None:
-        """Tell where the car is relative to sections."""
-        self._sections = tuple(
+    def refresh(self) -> None:
+        """Tell what has changed: where the car is, or advice that has run out."""
+        advice = self.advice
+        self._advice = {shown.section_id: shown for shown in advice}
+        present = (self._sections(), advice)
+        if present != self._told:
+            self._told = present
+            self._sequence_number += 1
+            self._dashboard.tell(self._state_line())
+
+    def _sections(self) -> tuple[SectionAhead, ...]:
+        return tuple(
             SectionAhead(
                 one.section_id,
                 one.whereabouts.value,
                 "" if (known := self._map_of(one.section_id)) is None else known.version,
             )
-            for one in passes
+            for one in self._passes_of()
         )
-        self._refresh()
 
     async def keep_going(self) -> None:
         """Withdraw what runs out, send frames and heartbeats; until cancelled."""
@@ -118,7 +128,7 @@ class Cockpit:
         shown = False
         while True:
             now_s = self._clock.now_s()
-            self._refresh()
+            self.refresh()
             if now_s - heartbeat_s >= HEARTBEAT_S:
                 heartbeat_s = now_s
                 self._dashboard.tell({"v": SCHEMA_VERSION, "type": "heartbeat", "sequence": self._sequence_number})
@@ -133,27 +143,20 @@ class Cockpit:
 
     def _foremost(self) -> tuple[ShownAdvice | None, bool]:
         """Return the one advice that fits a cluster: of the section the car is in, else the slowest."""
-        inside = {s.section_id for s in self._sections if s.whereabouts == Whereabouts.INSIDE.value}
+        inside = {s.section_id for s in self._sections() if s.whereabouts == Whereabouts.INSIDE.value}
         ordered = sorted(self.advice, key=lambda a: (a.section_id not in inside, a.advisory.speed_mps))
         return (ordered[0], ordered[0].section_id in inside) if ordered else (None, False)
 
-    def _refresh(self) -> None:
-        advice = self.advice
-        self._advice = {shown.section_id: shown for shown in advice}
-        present = (self._sections, advice)
-        if present != self._told:
-            self._told = present
-            self._sequence_number += 1
-            self._dashboard.tell(self._state_line())
-
     def _state_line(self) -> dict[str, Any]:
-        return state_line(self._sections, self.advice, now_s=self._clock.now_s(), sequence_number=self._sequence_number)
+        return state_line(
+            self._sections(), self.advice, now_s=self._clock.now_s(), sequence_number=self._sequence_number
+        )
 
     def _counters_line(self) -> dict[str, Any]:
         return {"v": SCHEMA_VERSION, "type": "counters", "counters": self._counters()}
 
     def _present(self) -> list[dict[str, Any]]:
-        maps = [self._map_of(section.section_id) for section in self._sections]
+        maps = [self._map_of(section.section_id) for section in self._sections()]
         return [self._state_line(), *(_map_line(section) for section in maps if section is not None)]
 
 

@@ -28,6 +28,7 @@ WAITING_LIMIT_BYTES = 65_536
 """A map of 10 km as JSON is some 40 kB; a reader farther behind is not reading."""
 REQUEST_LIMIT_BYTES = 64
 HEARTBEAT_S = 5.0
+GOODBYE_LIMIT_S = 0.2
 COUNTERS_REQUEST = b"counters"
 
 
@@ -125,6 +126,7 @@ class Dashboard:
         self._counters = counters
         self._counts = counts
         self._readers: set[asyncio.StreamWriter] = set()
+        self._serving: set[asyncio.Task[Any]] = set()
         self._server: asyncio.Server | None = None
         self._path: Path | None = None
 
@@ -160,6 +162,9 @@ class Dashboard:
             writer.transport.abort()
         if self._server is not None:
             self._server.close()
+        if self._serving:
+            # Streams complain of a conversation that is cancelled; one whose other end is gone ends by itself.
+            await asyncio.wait(self._serving, timeout=GOODBYE_LIMIT_S)
         if self._path is not None:
             with contextlib.suppress(OSError):
                 self._path.unlink(missing_ok=True)
@@ -187,6 +192,10 @@ class Dashboard:
             writer.transport.abort()
             return
         self._readers.add(writer)
+        task = asyncio.current_task()
+        if task is not None:
+            self._serving.add(task)
+            task.add_done_callback(self._serving.discard)
         try:
             for line in self._present():
                 self._send(writer, _encoded(line))

@@ -151,7 +151,8 @@ class SampleRing:
             return
         now_s = max(float(wheel.time_s[-1]) for wheel in wheels)
         # The median of four wheels: one that spins or stands does not move the car.
-        speed = float(np.median([np.mean(wheel.values) for wheel in wheels]))
+        means = sorted(float(wheel.values.mean()) for wheel in wheels)
+        speed = (means[(len(means) - 1) // 2] + means[len(means) // 2]) / 2.0
         since_s = now_s - self._wheels_s
         if np.isfinite(speed):
             self._speed_mps = speed

@@ -11,6 +11,8 @@ from vehicle_client.recording.channels import FIX_CHANNELS, SENSOR_COLUMNS, STAB
 from vehicle_client.recording.series import Series
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from vehicle_client.estimation.trace import GnssTrack, Trace
     from vehicle_client.shell.can.live import CanSource
     from vehicle_client.shell.live.ring import Readings
@@ -118,9 +120,15 @@ class PlayedTrace:
 class LiveBus:
     """A car's CAN bus, read by a thread of its own."""
 
-    def __init__(self, source: CanSource) -> None:
-        """Take a source that reads; its values' times are on the machine's monotonic clock."""
+    def __init__(self, source: CanSource, *, now_s: Callable[[], float] = time.monotonic) -> None:
+        """Take a source that reads.
+
+        Args:
+            source: Reads the bus.
+            now_s: The clock that its values' times are on.
+        """
         self._source = source
+        self._now_s = now_s
 
     @property
     def ended(self) -> bool:
@@ -132,8 +140,8 @@ class LiveBus:
         return self.now_s()
 
     def now_s(self) -> float:
-        """Return the machine's monotonic clock."""
-        return time.monotonic()
+        """Return the clock that values' times are on."""
+        return self._now_s()
 
     @property
     def step_s(self) -> float:

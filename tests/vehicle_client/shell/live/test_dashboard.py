@@ -34,7 +34,8 @@ class HandClock:
         return duration_s
 
 
-def a_cockpit(clock: HandClock, counts: Counter[str], **more: Any) -> Cockpit:
+def a_cockpit(clock: HandClock, counts: Counter[str], *passes: Pass, **more: Any) -> Cockpit:
+    more = {"passes_of": lambda: passes} | more
     return Cockpit(clock, map_of={"bend": BEND}.get, counters=lambda: {"passages": 3}, counts=counts, **more)
 
 
@@ -50,9 +51,9 @@ def a_pass(whereabouts: Whereabouts) -> Pass:
 def test_a_reader_gets_the_present_state_and_then_every_change(tmp_path: Path):
     async def story() -> None:
         clock = HandClock()
-        cockpit = a_cockpit(clock, Counter())
+        cockpit = a_cockpit(clock, Counter(), a_pass(Whereabouts.APPROACHING))
         await cockpit.open(tmp_path / "dash.sock")
-        cockpit.show_passes((a_pass(Whereabouts.APPROACHING),))
+        cockpit.refresh()
         reader, writer = await asyncio.open_unix_connection(tmp_path / "dash.sock")
         first = await next_line(reader)
         assert first["type"] == "state"
@@ -105,7 +106,7 @@ def test_nothing_new_is_no_line_but_a_heartbeat_is(tmp_path: Path):
         going = asyncio.create_task(cockpit.keep_going())
         reader, writer = await asyncio.open_unix_connection(tmp_path / "dash.sock")
         await next_line(reader)
-        cockpit.show_passes(())
+        cockpit.refresh()
         clock.time_s += 5.1
         assert (await next_line(reader))["type"] == "heartbeat"
         going.cancel()
@@ -221,10 +222,9 @@ def test_frames_go_out_while_advice_holds_and_once_to_take_it_away():
     async def story() -> None:
         clock = HandClock()
         counts: Counter[str] = Counter()
-        cockpit = a_cockpit(clock, counts, send=send)
+        cockpit = a_cockpit(clock, counts, a_pass(Whereabouts.INSIDE), send=send)
         going = asyncio.create_task(cockpit.keep_going())
         await asyncio.sleep(0.0)
-        cockpit.show_passes((a_pass(Whereabouts.INSIDE),))
         cockpit.show_advice("bend", ADVICE)
         for _ in range(3):
             await _one_frame_more(clock, sent)
