@@ -58,8 +58,8 @@ class ConstantRange:
         return math.exp(math.log(self.low) + within * (math.log(self.high) - math.log(self.low)))
 
 
-ADDED_RANGES: dict[str, ConstantRange] = {}
-"""Of constants that the paper does not have and that are zero by default."""
+_SHARES = {"grip_pull_ratio": ConstantRange(0.0, 2.0, logarithmic=False)}
+"""Ranges of constants that may be zero: a factor would never lead there."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,9 +136,9 @@ def tunable_ranges(start: ObserverParameters = PAPER_PARAMETERS) -> dict[str, Co
         usual, at = getattr(PAPER_PARAMETERS, field.name), getattr(start, field.name)
         if not isinstance(usual, float):
             continue
-        if field.name in ADDED_RANGES:
-            added = ADDED_RANGES[field.name]
-            ranges[field.name] = replace(added, low=min(added.low, at), high=max(added.high, at))
+        if field.name in _SHARES:
+            share = _SHARES[field.name]
+            ranges[field.name] = replace(share, low=min(share.low, at), high=max(share.high, at))
         elif usual > 0.0 and at > 0.0:
             ranges[field.name] = ConstantRange(min(usual / RANGE_FACTOR, at), max(usual * RANGE_FACTOR, at))
     return ranges
@@ -299,7 +299,7 @@ def best_parameters(
         at_bounds=tuple(
             name
             for name, share in shares.items()
-            if moved and not _AT_BOUND_FRAC < share < 1.0 - _AT_BOUND_FRAC and ranges[name].low > 0.0
+            if moved and (share > 1.0 - _AT_BOUND_FRAC or (share < _AT_BOUND_FRAC and ranges[name].low != 0.0))
         ),
     )
 

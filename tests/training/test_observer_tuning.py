@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from roadgrip.errors import ConfigurationError
-from tests.training.gripping_drives import gripping_recording
+from tests.training.gripping_drives import SPEED_MPS, gripping_recording
 from training.observer_tuning import (
     RANGE_FACTOR,
     ConstantRange,
@@ -111,6 +111,21 @@ def test_what_is_not_named_stays():
     assert changed <= {GRADIENT}
 
 
+def test_a_share_may_become_zero():
+    # A car that slips as much as it rolls has no sideslip: the pull to the gripping car of another one only errs.
+    first, _ = _parts(XC90.rear_axle_m / SPEED_MPS**2)
+    start = replace(PAPER_PARAMETERS, rear_slip_gradient_s2pm=0.001)
+    found = best_parameters([first], start, constants=["grip_pull_ratio"], evaluations_limit_count=40, seed=1)
+    assert found.parameters.grip_pull_ratio < 0.1
+    assert found.at_bounds == ()
+
+
+def test_a_constant_that_wants_beyond_its_range_is_named():
+    first, _ = _parts(PAPER_PARAMETERS.rear_slip_gradient_s2pm / (4.0 * RANGE_FACTOR))
+    found = best_parameters([first], PAPER_PARAMETERS, constants=[GRADIENT], evaluations_limit_count=60, seed=1)
+    assert found.at_bounds == (GRADIENT,)
+
+
 @pytest.mark.parametrize("names", [["lowpass"], ["bogus"], []])
 def test_what_cannot_be_tuned_is_named_beside_what_can(names):
     first, _ = _parts()
@@ -131,6 +146,9 @@ def test_a_range_is_wide_enough_for_the_start():
     ranges = tunable_ranges(start)
     for name, within in ranges.items():
         assert within.low <= getattr(start, name) <= within.high
+        if not within.logarithmic:
+            assert within.low == 0.0
+            continue
         usual = getattr(PAPER_PARAMETERS, name)
         assert within.low <= usual / RANGE_FACTOR * (1.0 + 1e-12)
         assert within.high >= usual * RANGE_FACTOR * (1.0 - 1e-12)
