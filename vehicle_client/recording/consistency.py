@@ -260,7 +260,7 @@ def relations_of(blocks: Blocks, trace: Trace, vehicle: VehicleGeometry) -> dict
     pairs = (
         (FRONT, wheels, (of[WHEEL_COLUMNS[1]] - of[WHEEL_COLUMNS[0]]) / vehicle.track_m, yaw, 0.25),
         (REAR, wheels, (of[WHEEL_COLUMNS[3]] - of[WHEEL_COLUMNS[2]]) / vehicle.track_m, yaw, 0.25),
-        (LATERAL, ("accel_y_mps2", "yaw_rate_radps"), of["accel_y_mps2"], speed * yaw, 0.25),
+        (LATERAL, ("accel_y_mps2", "yaw_rate_radps"), of["accel_y_mps2"], speed * yaw, 0.4),
         (FORWARD, ("accel_x_mps2",), of["accel_x_mps2"], _mean_slope(blocks), 0.4),
         (STEERING, ("steer_rad", "yaw_rate_radps"), of["steer_rad"], vehicle.wheelbase_m * yaw / safe, 0.4),
     )

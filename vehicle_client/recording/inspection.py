@@ -44,6 +44,8 @@ SLOW_HZ = 20.0
 INVALID_LIMIT_FRAC = 0.05
 MISFIT_LIMIT = 0.9
 """Logarithm of a gain that no unit explains and no road does either: a factor of two and a half."""
+_MISFIT_LIMITS = {SPEED: 0.2, LATERAL: 1.4}
+"""Where they differ. On ice the bank of a road carries most of a curve, and an accelerometer feels a quarter of it."""
 _TURNS_MPS2 = 0.8
 """Spread of lateral acceleration from which on a drive can be asked why a channel does not follow."""
 _SPEED_CHANGES_MPS2 = 0.4
@@ -273,7 +275,7 @@ def _misfit_hints(hints: dict[str, list[str]], relations: Mapping[str, Relation]
         if relation is None or abs(relation.correlation_ratio) < _FOLLOWS:
             continue
         misfit = log_misfit(relation, reading)
-        if abs(misfit) > (0.2 if name is SPEED else MISFIT_LIMIT):
+        if abs(misfit) > _MISFIT_LIMITS.get(name, MISFIT_LIMIT):
             channels = WHEEL_COLUMNS if name is SPEED else (channel,)
             for one in channels:
                 hints[one].append(f"{math.exp(misfit):.2g} times {what}; check unit and gain")

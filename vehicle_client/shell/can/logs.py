@@ -58,7 +58,7 @@ def read_log(
 
             seen = add_mf4(path, collector, watch=watch)
         else:
-            seen = _add_frames(_frames(path), collector, watch=watch)
+            seen = _add_frames(frames_of_log(path), collector, watch=watch)
     except OSError as error:
         raise ConfigurationError(f"cannot read {path}: {error.strerror or error}") from error
     series = collector.series()
@@ -66,11 +66,19 @@ def read_log(
     return _from_zero(series)
 
 
-def _frames(path: Path) -> Iterator[can.Message]:
+def frames_of_log(path: Path) -> Iterator[can.Message]:
+    """Yield the frames of a log of any kind, in the order of the file.
+
+    Raises:
+        ConfigurationError: The file cannot be read.
+        TraceError: It is no such log.
+    """
     try:
         with can.LogReader(path) as reader:
             yield from reader
-    except (OSError, GeneratorExit):
+    except OSError as error:
+        raise ConfigurationError(f"cannot read {path}: {error.strerror or error}") from error
+    except GeneratorExit:
         raise
     except Exception as error:  # readers of python-can raise whatever their parsing stumbles over
         raise TraceError(f"{path.name} is no CAN log that can be read: {type(error).__name__}: {error}") from error
