@@ -77,7 +77,7 @@ BY_DEAD_RECKONING: dict[Fault, Result | tuple[Result, ...]] = {
     Fault.STEERING_OFFSET_JUMP: refused(Reason.SENSOR_FAULT),
     Fault.STEERING_FROZEN: refused(Reason.SENSOR_FAULT),
     Fault.WHEEL_SLOW: Flagged(DOUBTFUL),
-    Fault.ALL_WHEELS_SLOW: (refused(Reason.WRONG_ROAD), Flagged(DOUBTFUL)),
+    Fault.ALL_WHEELS_SLOW: (refused(Reason.WRONG_ROAD), Flagged(DOUBTFUL), Unharmed(DOUBTFUL)),
     Fault.SHORT_GAP: Unharmed(QualityFlag.SAMPLES_MISSING),
     Fault.LONG_GAP: refused(Reason.TOO_MANY_GAPS),
     Fault.REPEATED_SAMPLES: Unharmed(),

@@ -50,6 +50,10 @@ FORCE_WINDOW_COUNT = 8
 """Two seconds: a lateral velocity cannot grow longer."""
 CALM_MPS2 = 0.7
 """Of lateral acceleration; below it tyres hardly slip, and the wheels point where the car goes."""
+STRAIGHT_1PM = 0.008
+"""Tighter, and a steering that is 10 % off in scale looks like one whose zero moved."""
+STEADY_RADPS = 0.02
+"""Change of the yaw rate from one block to the next; quicker, and a car lags behind its wheels."""
 CALM_MIN_COUNT, CALM_AFTER_COUNT, CALM_INTO_COUNT = 4, 16, 4
 RESTING_COUNT = 7
 """No recorded channel rested for so many samples."""
@@ -301,6 +305,8 @@ def _steering(blocks: _Blocks, wheelbase_m: float, *, entered_count: float) -> I
     """Yield how far the steering's zero moved between the straight before and that after the section."""
     beyond = blocks.steer_rad - wheelbase_m * blocks.gyro_radps / blocks.speed_mps
     calm = np.abs(blocks.gyro_radps * blocks.speed_mps) < CALM_MPS2
+    calm &= np.abs(blocks.gyro_radps) < STRAIGHT_1PM * blocks.speed_mps
+    calm &= np.abs(np.gradient(blocks.gyro_radps)) < STEADY_RADPS
     before = calm & (blocks.number < entered_count + CALM_INTO_COUNT)
     after = calm & (blocks.number > blocks.number[-1] - CALM_AFTER_COUNT)
     if before.sum() >= CALM_MIN_COUNT and after.sum() >= CALM_MIN_COUNT:
