@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 
 from roadgrip.errors import TraceError
-from vehicle_client.recording.channels import CHANNELS, FIX_CHANNELS, SERIES_CHANNELS, WHEEL_COLUMNS
+from vehicle_client.recording.channels import CHANNELS, FIX_CHANNELS, SERIES_CHANNELS, STABILITY_CHANNELS, WHEEL_COLUMNS
 from vehicle_client.recording.series import Series, trace_of_series
 
 if TYPE_CHECKING:
@@ -20,6 +20,9 @@ RING_S = 600.0
 """Ten minutes at 100 values a second: a section of 10 km at 60 km/h, or a short one with a queue before it."""
 SENSOR_HZ = 100.0
 FIX_HZ = 20.0
+FLAG_HZ = 50.0
+SLOWER_HZ = dict.fromkeys(FIX_CHANNELS, FIX_HZ) | dict.fromkeys(STABILITY_CHANNELS, FLAG_HZ)
+"""A channel that speaks faster than this is kept for less long."""
 CLOCK_RESET_S = 1.0
 """A sender whose time falls by more than this has begun anew; what it said before has no place any more."""
 
@@ -65,9 +68,7 @@ class SampleRing:
             duration_s: What is kept at 100 values a second; a channel that speaks faster is kept for less long.
         """
         self._duration_s = duration_s
-        self._channels = {
-            name: _Ring(round(duration_s * (FIX_HZ if name in FIX_CHANNELS else SENSOR_HZ))) for name in SERIES_CHANNELS
-        }
+        self._channels = {name: _Ring(round(duration_s * SLOWER_HZ.get(name, SENSOR_HZ))) for name in SERIES_CHANNELS}
         self._travelled = _Ring(round(duration_s * FIX_HZ))
         self._driven_m = 0.0
         self._wheels_s = -np.inf

@@ -79,8 +79,8 @@ def test_the_oldest_makes_room_and_memory_never_grows():
     assert ring.size_bytes == before_bytes <= ring.limit_bytes
 
 
-def test_ten_minutes_take_less_than_fourteen_megabytes():
-    assert SampleRing().limit_bytes < 14_000_000
+def test_ten_minutes_take_less_than_twelve_megabytes():
+    assert SampleRing().limit_bytes < 12_000_000
 
 
 def test_a_gap_is_not_filled():
