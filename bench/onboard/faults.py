@@ -152,8 +152,8 @@ def _sizes(judged: Iterable[Judged]) -> list[dict[str, Any]]:
             name = f"{finding.sensor.value} {what}"
             row = largest.setdefault(name, {"check": name, "largest": 0.0, "largest_extreme": 0.0})
             column = "largest_extreme" if one.kind in EXTREMES else "largest"
-            row[column] = max(row[column], float(finding.size))
-            row |= {"doubtful_from": finding.level.doubtful, "grave_from": _finite(finding.level.grave)}
+            row[column] = max(row[column], float(finding.found_value))
+            row |= {"doubtful_from": finding.level.doubtful_value, "grave_from": _finite(finding.level.grave_value)}
     return [largest[name] for name in sorted(largest)]
 
 

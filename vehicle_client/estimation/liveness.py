@@ -54,14 +54,14 @@ def frozen_rows(borders: dict[str, NDArray[np.int64]], name: str) -> slice | Non
     return slice(start, start + count) if living >= WITNESSES_MIN_COUNT else None
 
 
-def clipped_s(values: FloatArray, borders: NDArray[np.int64], *, least: float) -> float:
+def clipped_s(values: FloatArray, borders: NDArray[np.int64], *, least_value: float) -> float:
     """Return for how long a channel stays at its extreme value, bit for bit, three samples or more at a time.
 
     Args:
         values: The channel. (n,)
         borders: Of it, from `rests`.
-        least: Smaller extremes are no end of a range.
+        least_value: Smaller extremes are no end of a range.
     """
     own = np.diff(borders)
     held = (own > 2) & (np.abs(values[borders[:-1]]) == (extreme := float(np.abs(values).max())))
-    return float(own[held].sum()) * SAMPLE_S if extreme >= least else 0.0
+    return float(own[held].sum()) * SAMPLE_S if extreme >= least_value else 0.0

@@ -74,8 +74,8 @@ class Sensor(StrEnum):
 class Level(NamedTuple):
     """From where on something is doubtful, and from where on grave."""
 
-    doubtful: float
-    grave: float
+    doubtful_value: float
+    grave_value: float
 
 
 # In brackets the largest size that good sensors showed, see `bench/onboard/faults.py`.
@@ -98,27 +98,27 @@ class Finding:
     Attributes:
         sensor: Whom it blames.
         what: In words, without the number.
-        size: How much.
+        found_value: How much.
         level: From where on that is doubtful, and grave.
     """
 
     sensor: Sensor
     what: str
-    size: float
+    found_value: float
     level: Level
 
     @property
     def doubtful(self) -> bool:
         """Whether a summary should carry a flag."""
-        return self.size >= self.level.doubtful
+        return self.found_value >= self.level.doubtful_value
 
     @property
     def grave(self) -> bool:
         """Whether the passage should be kept back."""
-        return self.size >= self.level.grave
+        return self.found_value >= self.level.grave_value
 
     def __str__(self) -> str:
-        return f"{self.sensor.value} {self.what} ({self.size:.2g})"
+        return f"{self.sensor.value} {self.what} ({self.found_value:.2g})"
 
 
 class _Blocks(NamedTuple):
@@ -230,7 +230,7 @@ def _lifeless(trace: Trace, speed_mps: FloatArray, rows: slice) -> Iterator[Find
             yield Finding(sensor, f"frozen for seconds ({name})", duration_s, FROZEN_S)
         if name in {"accel_y_mps2", "yaw_rate_radps"}:
             least = ACCEL_RANGE_MIN_MPS2 if sensor is Sensor.ACCELEROMETER else GYRO_RANGE_MIN_RADPS
-            clipped = clipped_s(values, borders[name], least=least)
+            clipped = clipped_s(values, borders[name], least_value=least)
             yield Finding(sensor, f"at the end of its range for seconds ({name})", clipped, CLIPPED_S)
 
 
@@ -262,7 +262,7 @@ def _turning(blocks: _Blocks, *, track_m: float) -> Iterator[Finding]:
         return
     apart = 1.0 - max(_correlation(gyro, turning[name]) for name in agreeing)
     yield Finding(Sensor.GYRO, "turns otherwise than " + " and ".join(sorted(agreeing)), apart, TURN_APART)
-    if "wheels" in agreeing and apart < TURN_APART.grave:
+    if "wheels" in agreeing and apart < TURN_APART.grave_value:
         # Loaded tyres of the outer side are flatter than the inner ones, which the wheels show as turning.
         pressed = PRESSED_PER_MPS2 * float(np.mean(blocks.speed_mps**2)) / track_m
         factors = [

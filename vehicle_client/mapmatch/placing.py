@@ -250,7 +250,7 @@ def _rolling(
     reach = 10 * SAMPLE_S
     wheels = np.interp(at_s + reach, time_s, line.distance_m) - np.interp(at_s - reach, time_s, line.distance_m)
     by_speed = float(np.mean(doppler[used][told])) * 2.0 * reach / max(float(np.mean(wheels[told])), 1e-3) - 1.0
-    if abs(by_speed - by_positions) >= ROLLING_RATIO.doubtful:
+    if abs(by_speed - by_positions) >= ROLLING_RATIO.doubtful_value:
         return (), True
     return (Finding(Sensor.WHEELS, "differs from the receiver's, as a share", abs(by_speed), ROLLING_RATIO),), False
 

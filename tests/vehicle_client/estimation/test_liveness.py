@@ -57,6 +57,6 @@ def test_the_end_of_a_range_is_seen_where_a_channel_stays_there():
     cut = np.clip(wave, -8.0, 8.0)
     valid = np.ones(N, dtype=bool)
     expected = float(np.sum(np.abs(cut) == 8.0)) * 0.01
-    assert clipped_s(cut, rests(cut, valid), least=5.0) == expected > 1.0
-    assert clipped_s(cut, rests(cut, valid), least=9.0) == 0.0
-    assert clipped_s(wave, rests(wave, valid), least=5.0) == 0.0
+    assert clipped_s(cut, rests(cut, valid), least_value=5.0) == expected > 1.0
+    assert clipped_s(cut, rests(cut, valid), least_value=9.0) == 0.0
+    assert clipped_s(wave, rests(wave, valid), least_value=5.0) == 0.0
