@@ -13,7 +13,7 @@ from vehicle_client.estimation.trace import Trace
 from vehicle_client.estimation.vehicle_geometry import VehicleGeometry
 from vehicle_client.recording.channels import CHANNELS
 from vehicle_client.recording.foreign import Channel, ColumnMapping
-from vehicle_client.recording.resampling import trace_of_samples
+from vehicle_client.recording.resampling import repeated_count, trace_of_samples
 from vehicle_client.shell.sources import read_recording, read_trace_csv, write_trace_csv
 
 TRACE, STATION = drive_over(s_turn)
@@ -137,6 +137,24 @@ def test_a_clock_that_jumps_ahead_leaves_a_gap():
     trace = trace_of_samples(np.where(time < 2.0, time, time + 3.0), values)
     assert trace.samples_count == 700
     assert (~trace.valid).sum() == pytest.approx(300, abs=2)
+
+
+def test_of_rows_with_one_time_the_last_holds_and_they_are_counted():
+    time, values = rows()
+    twice = np.repeat(time, 2)
+    doubled = np.repeat(values, 2, axis=0)
+    doubled[::2] += 7.0
+    trace = trace_of_samples(twice, doubled, stability_active=np.arange(len(twice)) % 2 == 1)
+    plain = trace_of_samples(time, values)
+    assert all(np.array_equal(getattr(trace, name), getattr(plain, name)) for name in ARRAYS)
+    assert trace.stability_active is not None
+    assert trace.stability_active.all()
+    assert (repeated_count(twice), repeated_count(time)) == (len(time), 0)
+
+
+def test_a_clock_that_stands_still_is_refused():
+    with pytest.raises(TraceError, match="stands still"):
+        trace_of_samples(np.full(10, 3.0), np.zeros((10, len(CHANNELS))))
 
 
 @pytest.mark.parametrize("jump_s", [-1.0, 1e6])

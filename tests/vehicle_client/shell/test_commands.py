@@ -6,13 +6,18 @@ import json
 import subprocess
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
+from importlib.resources import files
 from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
 
 from deploy.demo.unit import UnitProcess, migrate, write_config
+from roadgrip.errors import ConfigurationError
 from roadgrip.features import KINEMATIC_FEATURES
+from roadgrip.section_file import section_to_json
+from roadgrip.sections import read_section
 from vehicle_client.__main__ import main
 from vehicle_client.cli import app
 
@@ -26,7 +31,7 @@ def run(*arguments: str | Path) -> tuple[int, str]:
     return result.exit_code, result.stdout
 
 
-@pytest.mark.parametrize("command", [[], ["fleet"], ["replay"], ["drive"]])
+@pytest.mark.parametrize("command", [[], ["fleet"], ["replay"], ["drive"], ["inspect"], ["survey"]])
 def test_help_teaches(command: list[str]):
     code, out = run(*command, "--help")
     assert code == 0
@@ -169,3 +174,92 @@ def test_without_its_libraries_the_command_says_what_to_install(absent, code, ne
     assert done.returncode == code
     assert needle in done.stdout + done.stderr
     assert "Traceback" not in done.stderr
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("log") / "drive.blf"
+    code, _ = run("drive", "-s", "s-turn", "--base-friction", "0.6", "--json", "--trace", path)
+    assert code == 0
+    return path
+
+
+@pytest.mark.sim
+def test_a_can_log_is_inspected_and_summarised(log: Path):
+    code, out = run("inspect", log, "--signals", "example", "--json")
+    assert code == 0
+    verdicts = {channel: finding["verdict"] for channel, finding in json.loads(out)["channels"].items()}
+    assert verdicts["yaw_rate_radps"] == verdicts["steer_rad"] == verdicts["wheel_rear_left_mps"] == "ok"
+    assert "off" not in verdicts.values()
+    code, out = run("replay", log, "--signals", "example", "-s", "s-turn", "--dry-run", "--json")
+    assert code == 0
+    assert json.loads(out)["passage"]["match"]["method"] == "gnss"
+
+
+@pytest.mark.sim
+def test_a_mapping_that_is_wrong_is_found_out(log: Path, tmp_path: Path):
+    example = Path(str(files("vehicle_client.shell.can") / "example"))
+    for name in ("roadgrip-example.dbc", "vehicle.toml"):
+        (tmp_path / name).write_bytes((example / name).read_bytes())
+    text = (example / "signals.toml").read_text(encoding="utf-8").replace('unit = "km/h"', 'unit = "m/s"')
+    (tmp_path / "signals.toml").write_text(text, encoding="utf-8")
+    code, out = run("inspect", log, "--signals", tmp_path / "signals.toml")
+    assert code == 1
+    assert 'unit = "km/h"' in " ".join(out.replace("│", " ").split())
+
+
+@pytest.mark.sim
+def test_another_vehicle_makes_another_summary(log: Path, tmp_path: Path):
+    longer = tmp_path / "lorry.toml"
+    longer.write_text(
+        'name = "lorry"\n[geometry]\nwheelbase_m = 4.5\ntrack_m = 2.0\nfront_axle_m = 2.0\n', encoding="utf-8"
+    )
+    vehicles: tuple[tuple[str | Path, ...], ...] = ((), ("--vehicle", longer))
+    summaries = [
+        json.loads(run("replay", log, "--signals", "example", "-s", "s-turn", "--dry-run", "--json", *more)[1])
+        for more in vehicles
+    ]
+    assert summaries[0]["passage"]["values"] != summaries[1]["passage"]["values"]
+
+
+@pytest.mark.sim
+def test_a_survey_writes_over_nothing_unless_it_is_told_to(log: Path, tmp_path: Path):
+    asked: list[str | Path] = ["survey", log, "--signals", "example", "-o", tmp_path / "road.json", "--id", "road"]
+    asked += ["--speed-limit", "80", "--from-m", "60", "--to-m", "400"]
+    assert run(*asked)[0] == 0
+    with pytest.raises(ConfigurationError, match="--force"):
+        run(*asked)
+    assert run(*asked, "--force", "--json")[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "needle"),
+    [
+        (["replay", "drive.blf", "--dry-run"], "--signals signals.toml"),
+        (["inspect", "drive.csv", "--signals", "example"], "drive.csv is not such"),
+        (["inspect", "no-such.blf", "--signals", "example"], "no-such.blf"),
+        (["inspect", "drive.blf", "--signals", "no-such.toml"], "no-such.toml"),
+        (["replay", "drive.csv", "--vehicle", "no-such.toml"], "no-such.toml"),
+    ],
+)
+def test_what_a_recording_lacks_is_said(arguments: list[str], needle: str):
+    with pytest.raises(ConfigurationError, match=needle):
+        run(*arguments)
+
+
+@pytest.mark.system
+@pytest.mark.sim
+@pytest.mark.parametrize("carrier", ["udp", "http"])
+def test_a_unit_with_a_newer_map_sends_it_and_gets_a_summary_of_that(
+    unit: dict[str, str], carrier: str, tmp_path: Path
+):
+    recording, outdated = tmp_path / "drive.blf", tmp_path / "outdated.json"
+    run("drive", "-s", "s-turn", "--seed", {"udp": "21", "http": "22"}[carrier], "--json", "--trace", recording)
+    road = read_section("s-turn")
+    outdated.write_text(section_to_json(replace(road, speed_limit_mps=road.speed_limit_mps - 5.0)), encoding="utf-8")
+    code, out = run("replay", recording, "--signals", "example", "-s", outdated, "--rsu", unit[carrier], "--json")
+    replayed = json.loads(out)
+    assert code == 0
+    assert replayed["remapped"]
+    assert replayed["map_version"] == road.version
+    assert replayed["exchange"]["ending"] == "accepted"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -74,7 +75,12 @@ def frames_of_log(path: Path) -> Iterator[can.Message]:
         TraceError: It is no such log.
     """
     try:
-        with can.LogReader(path) as reader:
+        with ExitStack() as stack:
+            if log_suffix(path) == ".blf":
+                # Opened here, since a reader that stumbles over the first bytes leaves its file open.
+                reader: Iterable[can.Message] = can.BLFReader(stack.enter_context(path.open("rb")))
+            else:
+                reader = stack.enter_context(can.LogReader(path))
             yield from reader
     except OSError as error:
         raise ConfigurationError(f"cannot read {path}: {error.strerror or error}") from error
