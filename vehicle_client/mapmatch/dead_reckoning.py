@@ -76,6 +76,10 @@ def driven_line(
         )
 
 
+AGAIN_LOG_ODDS = 3.0
+"""A second passage is as good as the first but for a factor of twenty; what is worse is another road a bit alike."""
+
+
 class Candidate(NamedTuple):
     """A place where the section may lie, and what speaks for it.
 
@@ -159,8 +163,9 @@ def candidates(drive: MetredDrive, section: RoadSection, *, length_m: float) -> 
 
 
 def _latest(found: list[Candidate], *, length_m: float) -> Candidate | None:
-    """Return the last convincing place; of places that overlap, the better one."""
+    """Return the last place that is about as convincing as the best; of places that overlap, the better one."""
     convincing = sorted((c for c in found if c.convincing), key=lambda candidate: -candidate.log_odds)
+    convincing = [c for c in convincing if c.log_odds >= convincing[0].log_odds - AGAIN_LOG_ODDS]
     kept: list[Candidate] = []
     for candidate in convincing:
         if all(abs(candidate.alignment.shift_m - other.alignment.shift_m) > 0.9 * length_m for other in kept):

@@ -31,28 +31,42 @@ class Weights(NamedTuple):
     """What the log odds are made of: the vote as it is, all else by the logarithm of itself plus its floor.
 
     Attributes:
-        start: Before anything is looked at.
-        vote: Of the waypoints.
-        curvature: Of the curvature misfit.
-        lateral: Of the distance between the lines.
-        height: Of the difference in height.
-        length: Of the length.
-        places: Of the number of places.
+        start_ratio: Before anything is looked at.
+        vote_ratio: Of the waypoints.
+        curvature_ratio: Of the curvature misfit.
+        lateral_ratio: Of the distance between the lines.
+        height_ratio: Of the difference in height.
+        length_ratio: Of the length.
+        places_ratio: Of the number of places.
     """
 
-    start: float
-    vote: float
-    curvature: float
-    lateral: float
-    height: float
-    length: float
-    places: float
+    start_ratio: float
+    vote_ratio: float
+    curvature_ratio: float
+    lateral_ratio: float
+    height_ratio: float
+    length_ratio: float
+    places_ratio: float
 
 
-PLANE_WEIGHTS = Weights(start=-7.73, vote=0.98, curvature=-2.17, lateral=-2.53, height=0.00, length=0.63, places=-0.72)
+PLANE_WEIGHTS = Weights(
+    start_ratio=-7.73,
+    vote_ratio=0.98,
+    curvature_ratio=-2.17,
+    lateral_ratio=-2.53,
+    height_ratio=0.00,
+    length_ratio=0.63,
+    places_ratio=-0.72,
+)
 """For drives without heights."""
 SPATIAL_WEIGHTS = Weights(
-    start=-9.67, vote=0.95, curvature=-2.02, lateral=-2.53, height=-0.44, length=0.88, places=-0.71
+    start_ratio=-9.67,
+    vote_ratio=0.95,
+    curvature_ratio=-2.02,
+    lateral_ratio=-2.53,
+    height_ratio=-0.44,
+    length_ratio=0.88,
+    places_ratio=-0.71,
 )
 """For drives with heights."""
 CURVATURE_FLOOR_FRAC = 0.02
@@ -67,7 +81,7 @@ class Evidence:
     """What an alignment of a drive with a stretch of map shows.
 
     Attributes:
-        vote: Of the waypoints, see `vote_of_waypoints`.
+        vote_ratio: Of the waypoints, see `vote_of_waypoints`.
         curvature_misfit_frac: Difference of driven and mapped curvature over the mapped one, both root mean squares.
         lateral_rms_m: Distance between the driven line and the mapped one, laid over each other: the residual heading
             integrated, without a straight line.
@@ -79,7 +93,7 @@ class Evidence:
         position_std_m: Standard deviation of the stations.
     """
 
-    vote: float
+    vote_ratio: float
     curvature_misfit_frac: float
     lateral_rms_m: float
     height_rms_m: float | None
@@ -93,13 +107,13 @@ class Evidence:
         weights = PLANE_WEIGHTS if self.height_rms_m is None else SPATIAL_WEIGHTS
         height_m = 0.0 if self.height_rms_m is None else self.height_rms_m
         return (
-            weights.start
-            + weights.vote * self.vote
-            + weights.curvature * float(np.log(self.curvature_misfit_frac + CURVATURE_FLOOR_FRAC))
-            + weights.lateral * float(np.log(self.lateral_rms_m + LATERAL_FLOOR_M))
-            + weights.height * float(np.log(height_m + HEIGHT_FLOOR_M))
-            + weights.length * float(np.log(self.length_m))
-            + weights.places * float(np.log(self.places_count))
+            weights.start_ratio
+            + weights.vote_ratio * self.vote_ratio
+            + weights.curvature_ratio * float(np.log(self.curvature_misfit_frac + CURVATURE_FLOOR_FRAC))
+            + weights.lateral_ratio * float(np.log(self.lateral_rms_m + LATERAL_FLOOR_M))
+            + weights.height_ratio * float(np.log(height_m + HEIGHT_FLOOR_M))
+            + weights.length_ratio * float(np.log(self.length_m))
+            + weights.places_ratio * float(np.log(self.places_count))
         )
 
     @property
@@ -152,7 +166,7 @@ def evidence_of(
         slid = np.cumsum(value_at(drive.accel_y_mps2, at) ** 2)
         height = _rms(_without(above, stretch.centred_m, value_at(drive.speed_mps, at) ** 2, slid))
     return Evidence(
-        vote=vote_of_waypoints(
+        vote_ratio=vote_of_waypoints(
             value_at(drive.curvature_1pm, alignment.driven_m(waypoints.station_m[asked])),
             mapped_1pm=waypoints.curvature_1pm[asked],
         ),

@@ -9,7 +9,7 @@ from vehicle_client.mapmatch.evidence import PLANE_WEIGHTS, SPATIAL_WEIGHTS, Evi
 from vehicle_client.mapmatch.waypoints import VOTE_MIN, vote_of_waypoints
 
 GOOD = Evidence(
-    vote=1.6,
+    vote_ratio=1.6,
     curvature_misfit_frac=0.04,
     lateral_rms_m=0.15,
     height_rms_m=0.05,
@@ -27,7 +27,7 @@ def test_a_good_place_convinces_with_height_and_without():
 @pytest.mark.parametrize(
     ("name", "worse"),
     [
-        ("vote", -4.0),
+        ("vote_ratio", -4.0),
         ("curvature_misfit_frac", 0.5),
         ("lateral_rms_m", 2.0),
         ("height_rms_m", 3.0),
@@ -40,9 +40,9 @@ def test_whatever_fits_worse_lowers_the_confidence(name, worse):
 
 @pytest.mark.parametrize("weights", [PLANE_WEIGHTS, SPATIAL_WEIGHTS])
 def test_every_weight_has_the_sign_of_its_meaning(weights):
-    assert weights.vote > 0.0
-    assert max(weights.curvature, weights.lateral, weights.places) < 0.0
-    assert weights.height <= 0.0
+    assert weights.vote_ratio > 0.0
+    assert max(weights.curvature_ratio, weights.lateral_ratio, weights.places_ratio) < 0.0
+    assert weights.height_ratio <= 0.0
 
 
 def test_an_unknown_position_does_not_convince():
