@@ -69,7 +69,8 @@ def summarise_passage(
 
     Refused are: fewer than 100 samples, or so many inside the section (TOO_SHORT); gaps over 0.3 s or 5 % inside the
     section, or gaps that prevent the match (TOO_MANY_GAPS); less than 2 m/s inside the section (TOO_SLOW); a drive
-    elsewhere (WRONG_ROAD); a passage without its start or end (PASSAGE_ABORTED).
+    elsewhere (WRONG_ROAD); a passage without its start or end (PASSAGE_ABORTED); a sensor that the others, the map or
+    the receiver contradict gravely (SENSOR_FAULT; lesser contradictions are a flag, SENSORS_DOUBTFUL).
 
     Args:
         trace: The drive, best with a few seconds of approach and exit.

@@ -78,7 +78,7 @@ class Level(NamedTuple):
     grave_value: float
 
 
-# In brackets the largest size that good sensors showed, see `bench/onboard/faults.py`.
+# How far good sensors came is in `docs/sensors.md`, remade by `bench/onboard/faults.py`.
 FROZEN_S = Level(0.5, 0.5)
 CLIPPED_S = Level(0.1, 0.3)
 TURN_APART = Level(0.3, 0.5)
