@@ -29,6 +29,8 @@ _FEWEST_MEMBERS_COUNT = 8
 _STEP_FRAC = 0.08
 """First step of the descent."""
 _AT_BOUND_FRAC = 0.005
+_IDLE_RATIO = 0.002
+"""A change that brings less than this share of the error is none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -230,7 +232,8 @@ def best_parameters(
     """Return the constants with the least RMS error of sideslip over some drives.
 
     Half of the evaluations go to a differential evolution that begins around the start, the rest to a simplex descent
-    from its best. The same drives, start and seed give the same constants.
+    from its best; at last, constants whose change brought nothing go back to their start. The same drives, start and
+    seed give the same constants.
 
     Args:
         drives: What is tuned on, at least one.
@@ -273,7 +276,7 @@ def best_parameters(
             tol=0.0,
             rng=chance,
         )
-    remaining_count = evaluations_limit_count - search.evaluations_count
+    remaining_count = evaluations_limit_count - search.evaluations_count - len(begin)
     if remaining_count > len(begin) + 1:
         best = search.best_shares
         # Away from the nearer bound, so that no corner of the first simplex is flattened.
@@ -291,10 +294,13 @@ def best_parameters(
                 "fatol": 1e-7,
             },
         )
-    shares = dict(zip(constants, search.best_shares.tolist(), strict=True))
-    moved = bool(np.any(search.best_shares != begin))
+    best = search.best_shares
+    if evaluations_limit_count - search.evaluations_count >= len(begin):
+        best = _without_idle(search, begin)
+    shares = dict(zip(constants, best.tolist(), strict=True))
+    moved = bool(np.any(best != begin))
     return Found(
-        parameters=search.parameters_at(search.best_shares) if moved else start,
+        parameters=search.parameters_at(best) if moved else start,
         evaluations_count=search.evaluations_count,
         at_bounds=tuple(
             name
@@ -302,6 +308,21 @@ def best_parameters(
             if moved and (share > 1.0 - _AT_BOUND_FRAC or (share < _AT_BOUND_FRAC and ranges[name].low != 0.0))
         ),
     )
+
+
+def _without_idle(search: _Search, begin: FloatArray) -> FloatArray:
+    """Return the best shares with those constants back at their start whose change brought nothing.
+
+    A roll gradient changes nothing in a car with a roll gyro: it shall not come out as what the search left it at.
+    """
+    kept = search.best_shares.copy()
+    allowed_rad = search.best_rad * (1.0 + _IDLE_RATIO)
+    for i in range(len(begin)):
+        back = kept.copy()
+        back[i] = begin[i]
+        if search.error_rad(back) <= allowed_rad:
+            kept = back
+    return kept
 
 
 class _Search:
@@ -318,7 +339,7 @@ class _Search:
         self._start = start
         self._ranges = ranges
         self._on_evaluation = on_evaluation
-        self._best_rad = math.inf
+        self.best_rad = math.inf
         self.evaluations_count = 0
         self.best_shares: FloatArray = self.shares_of(start)
 
@@ -335,9 +356,9 @@ class _Search:
         error = judgement(self._drives, self.parameters_at(shares)).rms_rad
         error = error if math.isfinite(error) else math.pi
         self.evaluations_count += 1
-        if error < self._best_rad:
-            self._best_rad, self.best_shares = error, np.array(shares, dtype=np.float64)
-        self._on_evaluation(self.evaluations_count, self._best_rad)
+        if error < self.best_rad:
+            self.best_rad, self.best_shares = error, np.array(shares, dtype=np.float64)
+        self._on_evaluation(self.evaluations_count, self.best_rad)
         return error
 
 

@@ -100,7 +100,7 @@ def test_no_more_is_tried_than_allowed_and_nothing_gets_worse(limit_count):
     assert [count for count, _ in seen] == list(range(1, found.evaluations_count + 1))
     errors = [error for _, error in seen]
     assert errors == sorted(errors, reverse=True)
-    assert judgement([first], found.parameters).rms_rad == pytest.approx(errors[-1], rel=1e-6)
+    assert judgement([first], found.parameters).rms_rad == pytest.approx(errors[-1], rel=0.005)
 
 
 def test_what_is_not_named_stays():
@@ -109,6 +109,15 @@ def test_what_is_not_named_stays():
     found = best_parameters([first], start, constants=[GRADIENT], evaluations_limit_count=20, seed=1)
     changed = {name for name, value in asdict(found.parameters).items() if value != getattr(start, name)}
     assert changed <= {GRADIENT}
+
+
+def test_a_constant_that_changes_nothing_keeps_its_value():
+    # The made-up car has a roll gyro, so nothing asks how far it leans.
+    first, _ = _parts()
+    names = [GRADIENT, "roll_gradient_s2pm"]
+    found = best_parameters([first], PAPER_PARAMETERS, constants=names, evaluations_limit_count=60, seed=1)
+    assert found.parameters.roll_gradient_s2pm == pytest.approx(PAPER_PARAMETERS.roll_gradient_s2pm, rel=1e-12)
+    assert found.parameters.rear_slip_gradient_s2pm == pytest.approx(TRUE_GRADIENT, rel=0.05)
 
 
 def test_a_share_may_become_zero():
