@@ -9,17 +9,17 @@ from collections.abc import AsyncIterator, Callable, Coroutine
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, TypeVar
 
+from roadgrip.errors import ConfigurationError
 from roadgrip.records import PASSAGE_ID_BYTES, KinematicSummary, Reason
 from vehicle_client.shell.conversation import Clock, arrive, converse, report
-from vehicle_client.shell.exchange import Exchange, ExchangeRecord, Stage
-from vehicle_client.shell.spool import Spool, SpooledSummary
+from vehicle_client.shell.exchange import Exchange, ExchangeRecord, FrameCodec, Stage
+from vehicle_client.shell.spool import Spool, SpooledSummary, SpoolError
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
     from roadgrip.records import Advisory
     from roadgrip.section import RoadSection
-    from vehicle_client.shell.keys import Keys
     from vehicle_client.shell.uplink import UnitAddress, Uplink
 
 _T = TypeVar("_T")
@@ -83,6 +83,14 @@ class Surround(Protocol):
         ...
 
 
+class Codecs(Protocol):
+    """Makes the codecs of exchanges; `vehicle_client.shell.keys.Keys`."""
+
+    def codecs_for(self, section_id: str, /) -> Callable[[bytes], FrameCodec]:
+        """Return what makes the codec of an exchange about a section from a passage's id."""
+        ...
+
+
 @dataclass(frozen=True, slots=True)
 class Tools:
     """What conversations work with.
@@ -95,7 +103,7 @@ class Tools:
         worker: The one thread for what takes long.
     """
 
-    keys: Keys
+    keys: Codecs
     clock: Clock
     clock_id: str
     spool: Spool
@@ -153,8 +161,13 @@ class Attendance:
         address = await self._way()
         if address is None:
             return await self._without_unit()
-        self.via = address.scheme
-        async with self._surround.open_uplink(address) as uplink:
+        async with contextlib.AsyncExitStack() as stack:
+            try:
+                uplink = await stack.enter_async_context(self._surround.open_uplink(address))
+            except ConfigurationError:
+                # No network, or no socket left: for this pass as if no unit had been heard.
+                return await self._without_unit()
+            self.via = address.scheme
             return await self._talk(uplink)
 
     async def _way(self) -> UnitAddress | None:
@@ -198,7 +211,21 @@ class Attendance:
     async def _send(self, exchange: Exchange, uplink: Uplink, verdict: Report) -> None:
         """Send a summary; it is in the spool first, so that a car switched off now still delivers it once."""
         entry = self._entry(verdict, frames_spent_count=exchange.frames_sent_count)
-        await self._tools.work(self._tools.spool.keep, entry)
+        try:
+            await self._tools.work(self._tools.spool.keep, entry)
+        except SpoolError:
+            # A full disk must not silence a car that has a unit before it.
+            await report(
+                exchange,
+                uplink,
+                self._tools.clock,
+                verdict.summary,
+                map_version=verdict.section.version,
+                left_at_s=verdict.left_at_s,
+            )
+            if exchange.record().may_spool:
+                raise
+            return
         await send_spooled(
             entry, exchange, uplink, self._tools, map_version=verdict.section.version, left_at_s=verdict.left_at_s
         )

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from ipaddress import ip_address
 from typing import TYPE_CHECKING
 
-from roadgrip.errors import ConfigurationError, WireError
+from roadgrip.errors import ConfigurationError, RoadgripError, WireError
 from roadgrip.exchange import message_of
 from roadgrip.frames import Complete, parse_frame
 from roadgrip.protocol import Kind
@@ -57,6 +57,10 @@ class Heard:
     address: UnitAddress
 
 
+class OldBroadcastError(RoadgripError):
+    """A broadcast was played again, or one of the two clocks is wrong."""
+
+
 def heard_in(
     datagram: bytes,
     source: tuple[str, int],
@@ -75,7 +79,8 @@ def heard_in(
         age_limit_s: An issue farther from now, either way, is an old one; infinite believes all.
 
     Raises:
-        WireError: It cannot be read or is not believed; STALE in its detail means too old.
+        WireError: It cannot be read or is not believed.
+        OldBroadcastError: It was issued too long ago, or is yet to be.
     """
     frame = parse_frame(datagram)
     if frame.kind not in {Kind.BEACON, Kind.ADVISORY} or frame.pieces_count != 1:
@@ -88,10 +93,6 @@ def heard_in(
     if known and abs(wall_clock_s - message.issued_unix_s) > age_limit_s:
         raise OldBroadcastError(f"issued {wall_clock_s - message.issued_unix_s:.0f} s ago")
     return Heard(message.section_id, message.map_version, UnitAddress("udp", source[0], source[1]))
-
-
-class OldBroadcastError(Exception):
-    """A broadcast was played again, or one of the two clocks is wrong."""
 
 
 class UnitsInReach:
