@@ -12,7 +12,7 @@ from roadgrip.errors import RoadgripError
 from vehicle_client.cli_drive import drive
 from vehicle_client.cli_fleet import fleet
 from vehicle_client.cli_live import live
-from vehicle_client.cli_recording import inspect, replay, survey
+from vehicle_client.cli_recording import inspect, replay, signals, survey
 
 USAGE_ERROR = 2
 
@@ -46,6 +46,7 @@ def _root(
 app.command()(fleet)
 app.command()(replay)
 app.command()(inspect)
+app.command()(signals)
 app.command()(survey)
 app.command()(drive)
 app.command()(live)

@@ -1,4 +1,4 @@
-"""The commands of `roadgrip-vehicle` that read recorded drives: replay, survey, inspect."""
+"""The commands of `roadgrip-vehicle` about recorded drives: replay, survey, inspect, signals."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def replay(  # noqa: PLR0917 - typer reads options by name
     recording: Recorded,
     section: Section = "long-turn",
     rsu: Unit = DEFAULT_UNIT,
-    signals: Signals = "",
+    mapping: Signals = "",
     vehicle: Vehicle = None,
     recording_format: Format = RecordingFormat.ROADGRIP,
     from_s: FromS = 0.0,
@@ -71,7 +71,7 @@ def replay(  # noqa: PLR0917 - typer reads options by name
 
     keys = read_keys(signing_key, trusted_key or [])
     address = parse_unit_address(rsu)
-    drive = _read(recording, RecordedAs(recording_format, signals, vehicle))
+    drive = _read(recording, RecordedAs(recording_format, mapping, vehicle))
     trace = part_of(drive.recording.trace, from_s=from_s, to_s=to_s)
     road = asyncio.run(road_of(section, address, keys))
     summarise = partial(summarise_recording, trace, vehicle=drive.vehicle)
@@ -92,7 +92,7 @@ def survey(  # noqa: PLR0917 - typer reads options by name
     speed_limit_kmh: Annotated[float, typer.Option("--speed-limit", metavar="KMH", help="Of the road.")],
     from_m: Annotated[float, typer.Option("--from-m", min=0.0, help="Where the section begins, in metres driven.")],
     to_m: Annotated[float, typer.Option("--to-m", min=0.0, help="Where it ends.")],
-    signals: Signals = "",
+    mapping: Signals = "",
     recording_format: Format = RecordingFormat.ROADGRIP,
     force: Annotated[bool, typer.Option("--force", help="Write over a file that is there.")] = False,
     as_json: AsJson = False,
@@ -109,7 +109,7 @@ def survey(  # noqa: PLR0917 - typer reads options by name
     if output.exists() and not force:
         raise ConfigurationError(f"{output} is there already; --force writes over it")
     road = section_of_line(
-        _read(recording, RecordedAs(recording_format, signals)).line,
+        _read(recording, RecordedAs(recording_format, mapping)).line,
         start_m=from_m,
         end_m=to_m,
         section_id=section_id,
@@ -137,7 +137,7 @@ def survey(  # noqa: PLR0917 - typer reads options by name
 
 def inspect(
     recording: Recorded,
-    signals: Signals = "",
+    mapping: Signals = "",
     vehicle: Vehicle = None,
     recording_format: Format = RecordingFormat.ROADGRIP,
     as_json: AsJson = False,
@@ -151,13 +151,37 @@ def inspect(
     from vehicle_client.recording.inspection import inspect_trace
     from vehicle_client.shell.inspected import findings_table, findings_to_json, something_is_off
 
-    drive = _read(recording, RecordedAs(recording_format, signals, vehicle))
+    drive = _read(recording, RecordedAs(recording_format, mapping, vehicle))
     findings = inspect_trace(drive.recording.trace, drive.vehicle.geometry, counts=drive.counts)
     if as_json:
         print(json.dumps(findings_to_json(findings, drive), indent=1))
     else:
         Console().print(findings_table(findings, drive))
     raise typer.Exit(1 if something_is_off(findings) else 0)
+
+
+def signals(
+    folder: Annotated[Path, typer.Argument(help="Where the three files go; made if it is not there.")],
+    force: Annotated[bool, typer.Option("--force", help="Write over files that are there.")] = False,
+) -> None:
+    """Write signals.toml, vehicle.toml and a DBC of a made-up car, as a pattern for one's own.
+
+    They are what `--signals example` reads. Change signals.toml until `inspect` has nothing to say against it.
+    """
+    from vehicle_client.shell.can.description import EXAMPLE, path_of_signals
+
+    pattern = path_of_signals(EXAMPLE).parent
+    names = ("signals.toml", "vehicle.toml", "roadgrip-example.dbc")
+    there = [str(folder / name) for name in names if (folder / name).exists()]
+    if there and not force:
+        raise ConfigurationError(f"{', '.join(there)} is there already; --force writes over it")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name in names:
+            (folder / name).write_bytes((pattern / name).read_bytes())
+    except OSError as error:
+        raise ConfigurationError(f"cannot write into {folder}: {error.strerror or error}") from error
+    print(f"{folder}: {', '.join(names)}")
 
 
 def _read(path: Path, recorded: RecordedAs) -> RecordedDrive:

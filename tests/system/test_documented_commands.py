@@ -110,9 +110,20 @@ def test_every_chore_of_a_page_is_one_of_the_makefile(project_root):
 
 @pytest.mark.system
 def test_the_page_on_vehicles_makes_a_drive_and_reads_it(project_root, tmp_path):
-    printed = run(block_with(project_root / "docs" / "vehicle.md", "--dry-run"), tmp_path)
+    printed = run(block_with(project_root / "docs" / "vehicle.md", "replay drive.csv.gz"), tmp_path)
     assert "nothing was sent" in printed
     assert (tmp_path / "drive.csv.gz").exists()
+
+
+@pytest.mark.system
+def test_the_page_on_vehicles_goes_from_a_can_log_to_a_sent_summary(project_root, tmp_path):
+    page = project_root / "docs" / "vehicle.md"
+    printed = run(block_with(page, "roadgrip-vehicle signals"), tmp_path)
+    assert "nothing was sent" in printed
+    with Daemon(tmp_path) as unit:
+        block = block_with(page, "--section rsu:long-turn")
+        printed = run(block.replace("udp://127.0.0.1:4740", unit.url), tmp_path)
+    assert "accepted" in printed
 
 
 @pytest.mark.system

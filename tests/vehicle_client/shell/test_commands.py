@@ -20,6 +20,7 @@ from roadgrip.section_file import section_to_json
 from roadgrip.sections import read_section
 from vehicle_client.__main__ import main
 from vehicle_client.cli import app
+from vehicle_client.shell.can.description import read_can_mapping
 
 SPEEDUP = "200"
 
@@ -263,3 +264,13 @@ def test_a_unit_with_a_newer_map_sends_it_and_gets_a_summary_of_that(
     assert replayed["remapped"]
     assert replayed["map_version"] == road.version
     assert replayed["exchange"]["ending"] == "accepted"
+
+
+def test_a_pattern_of_a_mapping_is_written_and_can_be_read(tmp_path: Path):
+    code, out = run("signals", tmp_path / "mycar")
+    assert code == 0
+    assert "signals.toml" in out
+    assert read_can_mapping(tmp_path / "mycar" / "signals.toml").mapping.vehicle == "vehicle.toml"
+    with pytest.raises(ConfigurationError, match="--force"):
+        run("signals", tmp_path / "mycar")
+    assert run("signals", tmp_path / "mycar", "--force")[0] == 0
