@@ -205,4 +205,5 @@ async def _sent(
     from vehicle_client.shell.uplink import uplink_to
 
     async with uplink_to(address) as uplink:
-        return await send_recorded(replayed, uplink, keys, summarise=summarise)
+        open_codec = keys.codecs_for(replayed.section.section_id)
+        return await send_recorded(replayed, uplink, open_codec, summarise=summarise)

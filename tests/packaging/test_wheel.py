@@ -62,3 +62,8 @@ def test_the_licence_and_the_readme_travel_along(wheel, names):
         metadata = Parser().parsestr(archive.read(path).decode())
     assert metadata["License-Expression"] == "Apache-2.0"
     assert "roadgrip" in str(metadata.get_payload())
+
+
+def test_the_example_of_a_car_is_inside(names):
+    example = "vehicle_client/shell/can/example"
+    assert {f"{example}/{name}" for name in ("signals.toml", "vehicle.toml", "roadgrip-example.dbc")} <= names

@@ -61,13 +61,13 @@ class Relation:
         name: Which two.
         gain: Slope; 1 if all channels are what they should be.
         correlation_ratio: How closely; -1 to 1.
-        log_tolerance: How far the logarithm of the gain may lie from what it should be, one standard deviation.
+        tolerance_ratio: How far its logarithm may lie from that of what it should be, one standard deviation.
     """
 
     name: str
     gain: float
     correlation_ratio: float
-    log_tolerance: float
+    tolerance_ratio: float
 
     @property
     def tells(self) -> bool:
@@ -192,7 +192,7 @@ def _cost(reading: Misreading, told: list[Relation]) -> float:
     for relation in told:
         if relation.gain * expected[relation.name] < 0.0:
             cost += _COST_OF_SIGN
-        cost += min((log_misfit(relation, reading) / relation.log_tolerance) ** 2, _COST_OF_SIGN)
+        cost += min((log_misfit(relation, reading) / relation.tolerance_ratio) ** 2, _COST_OF_SIGN)
     return cost
 
 
@@ -265,7 +265,7 @@ def relations_of(blocks: Blocks, trace: Trace, vehicle: VehicleGeometry) -> dict
         (STEERING, ("steer_rad", "yaw_rate_radps"), of["steer_rad"], vehicle.wheelbase_m * yaw / safe, 0.4),
     )
     found = {
-        name: relation_between(name, y, x, log_tolerance=tolerance)
+        name: relation_between(name, y, x, tolerance_ratio=tolerance)
         for name, channels, y, x, tolerance in pairs
         if not set(channels) & set(trace.absent)
     }
@@ -303,19 +303,19 @@ def _mean_slope(blocks: Blocks) -> FloatArray:
     return np.asarray(np.mean([blocks.slopes[name] for name in WHEEL_COLUMNS], axis=0))
 
 
-def relation_between(name: str, y: FloatArray, x: FloatArray, *, log_tolerance: float) -> Relation:
+def relation_between(name: str, y: FloatArray, x: FloatArray, *, tolerance_ratio: float) -> Relation:
     """Return how one quantity goes with another, both free of a constant.
 
     The slope is that of least squares: what stands on the right of every relation is the less noisy side.
     """
     if len(x) < 5:
-        return Relation(name, 0.0, 0.0, log_tolerance)
+        return Relation(name, 0.0, 0.0, tolerance_ratio)
     dx, dy = x - x.mean(), y - y.mean()
     spread_x, spread_y = float(np.sqrt(np.mean(dx**2))), float(np.sqrt(np.mean(dy**2)))
     if spread_x < 1e-9 or spread_y < 1e-9:
-        return Relation(name, 0.0, 0.0, log_tolerance)
+        return Relation(name, 0.0, 0.0, tolerance_ratio)
     correlation = float(np.mean(dx * dy)) / (spread_x * spread_y)
-    return Relation(name, correlation * spread_y / spread_x, correlation, log_tolerance)
+    return Relation(name, correlation * spread_y / spread_x, correlation, tolerance_ratio)
 
 
 def _relations_to_positions(blocks: Blocks, trace: Trace) -> dict[str, Relation]:
@@ -346,15 +346,15 @@ def _relations_to_positions(blocks: Blocks, trace: Trace) -> dict[str, Relation]
         return np.asarray((late - 2.0 * middle + early) / _COURSE_S**2)
 
     found = {
-        SPEED: _through_zero(SPEED, mean_over(blocks.speed_mps), driven / (2.0 * _COURSE_S), log_tolerance=0.1),
+        SPEED: _through_zero(SPEED, mean_over(blocks.speed_mps), driven / (2.0 * _COURSE_S), tolerance_ratio=0.1),
     }
     if "yaw_rate_radps" not in trace.absent:
         yaw = mean_over(blocks.columns["yaw_rate_radps"])
-        found[COURSE] = relation_between(COURSE, yaw, turned / _COURSE_S, log_tolerance=0.3)
+        found[COURSE] = relation_between(COURSE, yaw, turned / _COURSE_S, tolerance_ratio=0.3)
     return found
 
 
-def _through_zero(name: str, y: FloatArray, x: FloatArray, *, log_tolerance: float) -> Relation:
+def _through_zero(name: str, y: FloatArray, x: FloatArray, *, tolerance_ratio: float) -> Relation:
     """Return how a quantity that is never negative goes with another of the kind: their zeros are the same."""
     gain = float(np.median(y) / np.median(x)) if np.median(x) > 0.0 else 0.0
-    return Relation(name, gain, 1.0 if gain else 0.0, log_tolerance)
+    return Relation(name, gain, 1.0 if gain else 0.0, tolerance_ratio)

@@ -296,7 +296,7 @@ def _stranger_hints(
         }
         by_yaw = float(np.std(speed * of["yaw_rate_radps"] / reading.yaw_gain)) > _TURNS_MPS2
         by_accel = float(np.std(of["accel_y_mps2"] / reading.accel_y_gain)) > _TURNS_MPS2
-        curve = relation_between("", of["accel_y_mps2"], speed**2 * of["steer_rad"], log_tolerance=1.0)
+        curve = relation_between("", of["accel_y_mps2"], speed**2 * of["steer_rad"], tolerance_ratio=1.0)
         if len(weak) == 2 and by_accel and abs(curve.correlation_ratio) > _FOLLOWS:
             hints["yaw_rate_radps"].append("does not go with steering and lateral acceleration; is it another axis?")
         elif len(weak) == 1 and by_yaw:
@@ -312,8 +312,8 @@ def _accelerations_exchanged(blocks: Blocks, relations: Mapping[str, Relation]) 
         return False
     of, speed = blocks.columns, blocks.speed_mps
     slope = np.mean([blocks.slopes[name] for name in WHEEL_COLUMNS], axis=0)
-    as_lateral = relation_between("", of["accel_x_mps2"], speed * of["yaw_rate_radps"], log_tolerance=1.0)
-    as_forward = relation_between("", of["accel_y_mps2"], np.asarray(slope), log_tolerance=1.0)
+    as_lateral = relation_between("", of["accel_x_mps2"], speed * of["yaw_rate_radps"], tolerance_ratio=1.0)
+    as_forward = relation_between("", of["accel_y_mps2"], np.asarray(slope), tolerance_ratio=1.0)
     return (
         abs(as_lateral.correlation_ratio) > abs(relations[LATERAL].correlation_ratio) + _CLEARLY
         and abs(as_forward.correlation_ratio) > abs(relations[FORWARD].correlation_ratio) + _CLEARLY
@@ -328,7 +328,7 @@ def _roll(blocks: Blocks, reading: Misreading) -> tuple[Relation, str]:
     """
     accel = _quick(blocks.slopes["accel_y_mps2"] / reading.accel_y_gain)
     roll = blocks.columns["roll_rate_radps"]
-    found = relation_between(ROLL, _quick(roll), accel, log_tolerance=1.0)
+    found = relation_between(ROLL, _quick(roll), accel, tolerance_ratio=1.0)
     hints = []
     if abs(found.correlation_ratio) >= _ROLL_FOLLOWS and found.gain < 0.0:
         hints.append("turned round: gain = -1")

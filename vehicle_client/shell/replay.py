@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from roadgrip.section import RoadSection
     from vehicle_client.estimation.trace import Trace
-    from vehicle_client.shell.keys import Keys
+    from vehicle_client.shell.exchange import FrameCodec
     from vehicle_client.shell.uplink import Uplink
 
 
@@ -73,7 +73,11 @@ def summarise_recording(trace: Trace, section: RoadSection, *, vehicle: VehicleP
 
 
 async def send_recorded(
-    replay: Replay, uplink: Uplink, keys: Keys, *, summarise: Callable[[RoadSection], Replay]
+    replay: Replay,
+    uplink: Uplink,
+    open_codec: Callable[[bytes], FrameCodec],
+    *,
+    summarise: Callable[[RoadSection], Replay],
 ) -> Replay:
     """Return the replay with the unit's answer; nothing is sent where there is no summary.
 
@@ -83,7 +87,7 @@ async def send_recorded(
     Args:
         replay: What was made of the recording with the map at hand.
         uplink: To the unit.
-        keys: What is signed with, and who is believed.
+        open_codec: Makes the codec of an exchange from a passage's id.
         summarise: Makes the same of the recording with another map.
 
     Raises:
@@ -91,26 +95,27 @@ async def send_recorded(
     """
     if isinstance(replay.made, Rejected):
         return replay
-    sent, newer = await _exchanged(replay, replay.made, uplink, keys)
+    sent, newer = await _exchanged(replay, replay.made, uplink, open_codec)
     if newer is None and _is_stale(sent):
-        section_id = replay.section.section_id
-        newer = await ask_for_section(section_id, uplink=uplink, open_codec=keys.codecs_for(section_id))
+        newer = await ask_for_section(replay.section.section_id, uplink=uplink, open_codec=open_codec)
     if newer is None:
         return sent
     again = replace(summarise(newer), remapped=True)
     if isinstance(again.made, Rejected):
         return again
-    return (await _exchanged(again, again.made, uplink, keys))[0]
+    return (await _exchanged(again, again.made, uplink, open_codec))[0]
 
 
-async def _exchanged(replay: Replay, made: Summarised, uplink: Uplink, keys: Keys) -> tuple[Replay, RoadSection | None]:
+async def _exchanged(
+    replay: Replay, made: Summarised, uplink: Uplink, open_codec: Callable[[bytes], FrameCodec]
+) -> tuple[Replay, RoadSection | None]:
     """Return the replay with the unit's answer, or without one and with the newer map that the unit sent instead."""
     section, clock = replay.section, SpedUpClock()
     passage_id = secrets.token_bytes(PASSAGE_ID_BYTES)
     exchange = Exchange(
         passage_id=passage_id,
         section_id=section.section_id,
-        codec=keys.codecs_for(section.section_id)(passage_id),
+        codec=open_codec(passage_id),
         known_section=section,
     )
     await arrive(exchange, uplink, clock)
