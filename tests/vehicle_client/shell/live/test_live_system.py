@@ -7,8 +7,9 @@ import signal
 import socket
 import threading
 import time
+from collections.abc import Iterator
 from contextlib import closing, contextmanager
-from dataclasses import replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,25 @@ from vehicle_client.shell.uplink import UnitAddress
 pytestmark = [pytest.mark.system, pytest.mark.timeout(180)]
 
 
+@dataclass(frozen=True)
+class Roadside:
+    """One unit for all tests, and where it sends its beacons; every drive is another one, or it would be a replay."""
+
+    unit: Daemon
+    beacon_port: int
+
+    @property
+    def beacons(self) -> tuple[str, str]:
+        return "--beacons", f"127.0.0.1:{self.beacon_port}"
+
+
+@pytest.fixture(scope="module")
+def roadside(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Roadside]:
+    folder, port = tmp_path_factory.mktemp("unit"), free_udp_port()
+    with Daemon(folder, unit_settings(folder, beacon_port=port)) as unit:
+        yield Roadside(unit, port)
+
+
 def advised(line: dict[str, Any]) -> bool:
     return line["type"] == "state" and bool(line["advice"])
 
@@ -39,26 +59,25 @@ def withdrawn(line: dict[str, Any]) -> bool:
 
 
 @pytest.mark.parametrize("satellites", [True, False], ids=["with satellites", "without"])
-def test_a_driver_is_advised_and_the_passage_is_accepted(tmp_path: Path, satellites: bool):
-    port = free_udp_port()
-    with Daemon(tmp_path, unit_settings(tmp_path, beacon_port=port)) as unit:
-        trace = a_drive(satellites=satellites)
-        with Car(tmp_path / "car", trace, "--beacons", f"127.0.0.1:{port}") as car:
-            reader = car.dashboard()
-            told = reader.until(advised)
-            (advice,) = told["advice"]
-            assert advice["section_id"] == ROAD.section_id
-            assert 0.0 < advice["valid_for_s"] <= 300.0
-            assert told["sections"][0]["map_version"] == ROAD.version
-            reader.until(withdrawn)
-            reader.ask("counters")
-            car.wait_for(lambda: car.events("passage"))
-            car.process.send_signal(signal.SIGUSR1)
-            car.wait_for(lambda: car.events("counters"))
-            assert reader.until(lambda line: line["type"] == "counters")["counters"]["pipeline_runs"] >= 1
-            assert car.stop() == 0
-            reader.close()
-        (stored,) = unit.stored()
+def test_a_driver_is_advised_and_the_passage_is_accepted(tmp_path: Path, roadside: Roadside, satellites: bool):
+    before_count = len(roadside.unit.stored())
+    trace = a_drive(satellites=satellites, seed=10 + satellites)
+    with Car(tmp_path / "car", trace, *roadside.beacons) as car:
+        reader = car.dashboard()
+        told = reader.until(advised)
+        (advice,) = told["advice"]
+        assert advice["section_id"] == ROAD.section_id
+        assert 0.0 < advice["valid_for_s"] <= 300.0
+        assert told["sections"][0]["map_version"] == ROAD.version
+        reader.until(withdrawn)
+        reader.ask("counters")
+        car.wait_for(lambda: car.events("passage"))
+        car.process.send_signal(signal.SIGUSR1)
+        car.wait_for(lambda: car.events("counters"))
+        assert reader.until(lambda line: line["type"] == "counters")["counters"]["pipeline_runs"] >= 1
+        assert car.stop() == 0
+        reader.close()
+    (stored,) = roadside.unit.stored()[before_count:]
     (passage,) = car.events("passage")
     assert passage["ending"] == "accepted"
     assert passage["via"] == "udp"
@@ -69,53 +88,51 @@ def test_a_driver_is_advised_and_the_passage_is_accepted(tmp_path: Path, satelli
     assert not car.socket.exists()
 
 
-def test_over_cellular_the_section_is_found_by_its_place(tmp_path: Path):
-    with Daemon(tmp_path, unit_settings(tmp_path, beacon_port=free_udp_port())) as unit:
-        options = ("--beacons", "none", "--rsu", unit.url, "--once")
-        with Car(tmp_path / "car", a_drive(), *options) as car:
-            car.wait_for(lambda: car.process.poll() == 0)
-        assert len(unit.stored()) == 1
+def test_over_cellular_the_section_is_found_by_its_place(tmp_path: Path, roadside: Roadside):
+    before_count = len(roadside.unit.stored())
+    options = ("--beacons", "none", "--rsu", roadside.unit.url, "--once")
+    with Car(tmp_path / "car", a_drive(seed=2), *options) as car:
+        car.wait_for(lambda: car.process.poll() == 0)
+    assert len(roadside.unit.stored()) == before_count + 1
     (passage,) = car.events("passage")
     assert (passage["ending"], passage["via"]) == ("accepted", "http")
 
 
-def spool_one(folder: Path, tmp_path: Path) -> Car:
+def spool_one(folder: Path, tmp_path: Path, *, seed: int) -> Car:
     """Drive where no unit is; the summary waits."""
     (tmp_path / "known.json").write_text(section_to_json(ROAD), encoding="utf-8")
     options = ("--beacons", "none", "--once", "--section", str(tmp_path / "known.json"))
-    with Car(folder, a_drive(), *options) as car:
+    with Car(folder, a_drive(seed=seed), *options) as car:
         car.wait_for(lambda: car.process.poll() == 0)
     assert len(car.spooled()) == 1
     return car
 
 
-def test_what_had_to_wait_is_delivered_at_the_next_unit_with_its_right_age(tmp_path: Path):
-    car = spool_one(tmp_path / "car", tmp_path)
+def test_what_had_to_wait_is_delivered_at_the_next_unit_with_its_right_age(tmp_path: Path, roadside: Roadside):
+    car = spool_one(tmp_path / "car", tmp_path, seed=3)
     left_at_s = json.loads(car.spooled()[0].read_text(encoding="utf-8"))["left_at_s"]
-    port = free_udp_port()
-    with Daemon(tmp_path, unit_settings(tmp_path, beacon_port=port)) as unit:
-        least_s = boot_clock()[1] - left_at_s
-        with Car(tmp_path / "car", standing(a_drive()), "--beacons", f"127.0.0.1:{port}") as later:
-            later.wait_for(lambda: any(line["late"] for line in later.events("passage")))
-            assert later.stop() == 0
-        most_s = boot_clock()[1] - left_at_s
-        (stored,) = unit.stored()
+    before_count = len(roadside.unit.stored())
+    least_s = boot_clock()[1] - left_at_s
+    with Car(tmp_path / "car", standing(a_drive()), *roadside.beacons) as later:
+        later.wait_for(lambda: any(line["late"] for line in later.events("passage")))
+        assert later.stop() == 0
+    most_s = boot_clock()[1] - left_at_s
+    (stored,) = roadside.unit.stored()[before_count:]
     assert least_s - 0.01 <= stored.age_s <= most_s + 0.01
     (late,) = [line for line in later.events("passage") if line["late"]]
     assert late["ending"] == "accepted"
     assert not later.spooled()
 
 
-def test_after_a_reboot_nobody_knows_the_age_so_it_is_dropped_and_counted(tmp_path: Path):
-    (path,) = spool_one(tmp_path / "car", tmp_path).spooled()
+def test_after_a_reboot_nobody_knows_the_age_so_it_is_dropped_and_counted(tmp_path: Path, roadside: Roadside):
+    (path,) = spool_one(tmp_path / "car", tmp_path, seed=4).spooled()
     entry = json.loads(path.read_text(encoding="utf-8"))
     path.write_text(json.dumps(entry | {"clock_id": "the boot before"}), encoding="utf-8")
-    port = free_udp_port()
-    with Daemon(tmp_path, unit_settings(tmp_path, beacon_port=port)) as unit:
-        with Car(tmp_path / "car", standing(a_drive()), "--beacons", f"127.0.0.1:{port}") as car:
-            car.wait_for(lambda: car.events("started"))
-            assert car.stop() == 0
-        assert not unit.stored()
+    before_count = len(roadside.unit.stored())
+    with Car(tmp_path / "car", standing(a_drive()), *roadside.beacons) as car:
+        car.wait_for(lambda: car.events("started"))
+        assert car.stop() == 0
+    assert len(roadside.unit.stored()) == before_count
     assert car.events("started")[0]["spool_dropped_age_unknown"] == 1
     assert car.events("stopped")[0]["spool_waiting"] == 0
 
@@ -143,20 +160,20 @@ def deaf_air(unit_port: int):
         thread.join()
 
 
-def test_a_client_killed_before_its_receipt_delivers_once(tmp_path: Path):
+def test_a_client_killed_before_its_receipt_delivers_once(tmp_path: Path, roadside: Roadside):
     (tmp_path / "known.json").write_text(section_to_json(ROAD), encoding="utf-8")
-    port = free_udp_port()
-    with Daemon(tmp_path, unit_settings(tmp_path, beacon_port=port)) as unit:
-        with deaf_air(unit.udp_port) as air_port:
-            options = ("--beacons", "none", "--rsu", f"udp://127.0.0.1:{air_port}")
-            with Car(tmp_path / "car", a_drive(), *options, "--section", str(tmp_path / "known.json")) as car:
-                car.wait_for(unit.stored)
-                car.kill()
-        assert len(car.spooled()) == 1
-        with Car(tmp_path / "car", standing(a_drive()), "--beacons", f"127.0.0.1:{port}") as again:
-            again.wait_for(lambda: any(line["late"] for line in again.events("passage")))
-            assert again.stop() == 0
-        assert len(unit.stored()) == 1
+    unit = roadside.unit
+    before_count = len(unit.stored())
+    with deaf_air(unit.udp_port) as air_port:
+        options = ("--beacons", "none", "--rsu", f"udp://127.0.0.1:{air_port}")
+        with Car(tmp_path / "car", a_drive(seed=5), *options, "--section", str(tmp_path / "known.json")) as car:
+            car.wait_for(lambda: len(unit.stored()) > before_count)
+            car.kill()
+    assert len(car.spooled()) == 1
+    with Car(tmp_path / "car", standing(a_drive()), *roadside.beacons) as again:
+        again.wait_for(lambda: any(line["late"] for line in again.events("passage")))
+        assert again.stop() == 0
+    assert len(unit.stored()) == before_count + 1
     (late,) = [line for line in again.events("passage") if line["late"]]
     assert late["ending"] == "accepted"
     assert not again.spooled()
@@ -178,10 +195,10 @@ def test_a_car_that_nobody_advises_says_what_is_wrong_with_its_settings(tmp_path
     assert "ftp://unit" in car.log.read_text(encoding="utf-8")
 
 
-def test_a_drive_over_the_cars_own_bus_is_accepted(tmp_path: Path):
+def test_a_drive_over_the_cars_own_bus_is_accepted(tmp_path: Path, roadside: Roadside):
     """The bus is python-can's virtual one, so the client lives in this process; the unit does not."""
-    trace = a_drive(approach_m=150.0, exit_m=150.0)
-    trace = replace(trace, roll_rate_radps=trace.roll_rate_radps * 0.5)
+    trace = a_drive(approach_m=150.0, exit_m=150.0, seed=6)
+    before_count = len(roadside.unit.stored())
     mapping = read_can_mapping(path_of_signals(EXAMPLE))
     name = f"car-{secrets.token_hex(4)}"
     lines: list[dict[str, Any]] = []
@@ -213,16 +230,15 @@ def test_a_drive_over_the_cars_own_bus_is_accepted(tmp_path: Path):
             running = asyncio.create_task(client.run())
             await asyncio.to_thread(drive_on, sender, source)
             for _ in range(600):
-                if unit.stored():
+                if len(unit.stored()) > before_count:
                     break
                 await asyncio.sleep(0.05)
             await asyncio.sleep(0.2)
             client.stop()
             await running
 
-    with Daemon(tmp_path, unit_settings(tmp_path, beacon_port=free_udp_port())) as unit:
-        asyncio.run(story(unit))
-        assert len(unit.stored()) == 1
+    asyncio.run(story(roadside.unit))
+    assert len(roadside.unit.stored()) == before_count + 1
     (passage,) = [line for line in lines if line["event"] == "passage"]
     assert passage["ending"] == "accepted"
     assert lines[-1]["can_frames"] > 3_000
