@@ -11,10 +11,18 @@ import numpy as np
 
 from vehicle_client.estimation.trace import Trace
 from vehicle_client.recording.own_columns import columns_of_trace
+from vehicle_client.shell.sources import write_trace_csv
 
 ROOT = Path(__file__).resolve().parents[2]
 FRESH_PROCESS = Path(__file__).with_name("fresh_process.py")
+LIVE_PROCESS = Path(__file__).with_name("live_process.py")
 PROCESSES_COUNT = 7
+_BUS = ("can", "cantools")
+LIVE_LIBRARIES = {
+    "alone_peak_mb": (),
+    "with_bus_peak_mb": _BUS,
+    "with_bus_and_keys_peak_mb": (*_BUS, "cryptography.hazmat.primitives.serialization"),
+}
 _BYTES_PER_MB = 1e6
 
 
@@ -67,6 +75,24 @@ def fresh_figures(python: Path, trace: Trace, section_name: str, folder: Path) -
     np.savez(drive, **columns_of_trace(trace))  # type: ignore[arg-type]
     told = [json.loads(_run(python, FRESH_PROCESS, drive, section_name)) for _ in range(PROCESSES_COUNT)]
     return {name: (max if name.endswith("_mb") else min)(figures[name] for figures in told) for name in told[0]}
+
+
+def live_figures(python: Path, trace: Trace, section_name: str, folder: Path) -> dict[str, float]:
+    """Return the memory of the live client that plays a drive, by itself and with the libraries of bus and keys.
+
+    Args:
+        python: Which Python runs it.
+        trace: The drive.
+        section_name: A packaged section.
+        folder: Where the drive and the spools lie.
+    """
+    drive = folder / "drive.csv"
+    write_trace_csv(drive, trace)
+    figures: dict[str, float] = {}
+    for name, libraries in LIVE_LIBRARIES.items():
+        lines = _run(python, LIVE_PROCESS, drive, section_name, folder / name, *libraries).splitlines()
+        figures[name] = json.loads(lines[-1])
+    return figures
 
 
 def _run(*command: str | Path) -> str:
