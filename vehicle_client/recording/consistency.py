@@ -30,7 +30,7 @@ BLOCK_COUNT = 20
 """Samples that are averaged: 0.2 s is long beside noise and short beside a curve."""
 _EARTH_M = 6_371_000.0
 _COURSE_S = 2.0
-_CORRELATION_MIN = 0.5
+_CORRELATION_MIN = 0.4
 """Below it a relation says nothing."""
 _DEG = 180.0 / math.pi
 _UNDERSTEER_S2PM = 0.002

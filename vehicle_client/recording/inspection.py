@@ -217,7 +217,8 @@ def _hints(
         hints["steer_rad"].append(_steering_hint(abs(steering_gain_ratio(blocks, vehicle, reading))))
     _misfit_hints(hints, relations, reading)
     _stranger_hints(hints, blocks, relations, reading)
-    if not {"roll_rate_radps", "accel_y_mps2"} & set(trace.absent):
+    # Which of the two is turned round could not be said of a lateral acceleration that nothing else confirms.
+    if "roll_rate_radps" not in trace.absent and LATERAL in relations and relations[LATERAL].tells:
         relations[ROLL], hint = _roll(blocks, reading)
         hints["roll_rate_radps"].append(hint)
     return hints

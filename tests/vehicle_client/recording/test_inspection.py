@@ -12,7 +12,7 @@ from vehicle_client.estimation.trace import Trace
 from vehicle_client.estimation.vehicle_geometry import XC90
 from vehicle_client.recording.channels import WHEEL_COLUMNS
 from vehicle_client.recording.csv_table import columns_of_csv
-from vehicle_client.recording.foreign import recording_of_columns
+from vehicle_client.recording.foreign import ColumnMapping, Recording, recording_of_columns
 from vehicle_client.recording.inspection import Verdict, inspect_trace
 from vehicle_client.recording.public import COMMA2K19_RAV4, FERRARI_250LM, IAC_AV21
 
@@ -159,22 +159,47 @@ def test_what_is_mostly_missing_is_named():
     assert len(off(replace(trace, valid=valid))) == 9
 
 
-@pytest.mark.parametrize(
-    ("name", "mapping"),
-    [
-        ("revs_ferrari250lm_20140222_01_01_03", FERRARI_250LM),
-        ("iac_av21_putnam_2023_run4_2", IAC_AV21),
-        ("comma2k19_rav4_example1_seg40", COMMA2K19_RAV4),
-    ],
-)
-def test_cars_that_others_recorded_are_read_rightly(name, mapping):
-    path = DATA / f"{name}.csv.gz"
+RECORDED = {
+    "revs_ferrari250lm_20140222_01_01_03": FERRARI_250LM,
+    "iac_av21_putnam_2023_run4_2": IAC_AV21,
+    "comma2k19_rav4_example1_seg40": COMMA2K19_RAV4,
+}
+
+
+@pytest.fixture(scope="module", params=RECORDED)
+def others(request) -> tuple[Recording, ColumnMapping]:
+    path, mapping = DATA / f"{request.param}.csv.gz", RECORDED[request.param]
     if not path.exists():
-        pytest.skip(f"no recording {name} beside the checkout")
-    recording = recording_of_columns(columns_of_csv(path.read_bytes(), place=name), mapping, place=name)
+        pytest.skip(f"no recording {path.name} beside the checkout")
+    return recording_of_columns(columns_of_csv(path.read_bytes(), place=path.name), mapping, place=path.name), mapping
+
+
+def test_cars_that_others_recorded_are_read_rightly(others):
+    recording, mapping = others
     findings = {f.channel: f for f in inspect_trace(recording.trace, mapping.vehicle)}
     assert {f.channel: f.hint for f in findings.values() if f.verdict is Verdict.OFF} == {}
     assert findings["yaw_rate_radps"].verdict is Verdict.OK
     assert {name for name, f in findings.items() if f.verdict is Verdict.ABSENT} - {"positions"} == set(
         recording.missing
     )
+
+
+@pytest.mark.parametrize(
+    ("channel", "gain"),
+    [
+        ("yaw_rate_radps", -1.0),
+        ("yaw_rate_radps", DEG),
+        ("accel_y_mps2", -1.0),
+        ("accel_x_mps2", -1.0),
+        ("accel_x_mps2", 1.0 / 9.81),
+        ("steer_rad", -1.0),
+        ("steer_rad", 16.0 * DEG),
+        ("roll_rate_radps", -1.0),
+    ],
+)
+def test_a_channel_of_theirs_that_is_misread_is_named_alone(others, channel, gain):
+    recording, mapping = others
+    if channel in recording.missing:
+        pytest.skip(f"the car has no {channel}")
+    broken = replace(recording.trace, **{channel: gain * getattr(recording.trace, channel)})
+    assert {f.channel for f in inspect_trace(broken, mapping.vehicle) if f.verdict is Verdict.OFF} == {channel}
