@@ -16,7 +16,7 @@ import numpy as np
 from roadgrip.errors import ConfigurationError
 from roadgrip.units import FloatArray
 from training.reference_drives import ReferenceDrive
-from vehicle_client.estimation.observer import PAPER_PARAMETERS, ObserverParameters
+from vehicle_client.estimation.observer import XC90_PARAMETERS, ObserverParameters
 from vehicle_client.estimation.signals import kinematic_signals
 
 RANGE_FACTOR = 20.0
@@ -131,11 +131,11 @@ def _ignored(_count: int, _best_rad: float) -> None:
     """Do nothing."""
 
 
-def tunable_ranges(start: ObserverParameters = PAPER_PARAMETERS) -> dict[str, ConstantRange]:
+def tunable_ranges(start: ObserverParameters = XC90_PARAMETERS) -> dict[str, ConstantRange]:
     """Return the constants that can be tuned, each with its range; wide enough for where it starts."""
     ranges = {}
     for field in fields(ObserverParameters):
-        usual, at = getattr(PAPER_PARAMETERS, field.name), getattr(start, field.name)
+        usual, at = getattr(XC90_PARAMETERS, field.name), getattr(start, field.name)
         if not isinstance(usual, float):
             continue
         if field.name in _SHARES:

@@ -10,7 +10,7 @@ import numpy as np
 from roadgrip.records import KinematicSummary, QualityFlag, Reason, Rejected
 from vehicle_client.estimation.filters import smoothed
 from vehicle_client.estimation.gaps import believable, bridged, longest_gap_s, missing_frac
-from vehicle_client.estimation.observer import PAPER_PARAMETERS, ObserverParameters
+from vehicle_client.estimation.observer import XC90_PARAMETERS, ObserverParameters
 from vehicle_client.estimation.offsets import SensorOffsets, sensor_offsets
 from vehicle_client.estimation.plausibility import Sensor, findings
 from vehicle_client.estimation.signals import in_car_axes, kinematic_signals
@@ -63,7 +63,7 @@ def summarise_passage(
     section: RoadSection,
     *,
     vehicle: VehicleGeometry = XC90,
-    parameters: ObserverParameters = PAPER_PARAMETERS,
+    parameters: ObserverParameters = XC90_PARAMETERS,
 ) -> Summarised | Rejected:
     """Return what a vehicle makes of one drive over a section, or why it keeps it to itself.
 

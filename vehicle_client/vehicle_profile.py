@@ -7,7 +7,7 @@ wheelbase_m = 2.984
 track_m = 1.670
 front_axle_m = 1.43
 
-[observer]            # `ObserverParameters`: the paper's constants where nothing is said
+[observer]            # `ObserverParameters`: those of the XC90 where nothing is said
 rear_slip_gradient_s2pm = 0.0075
 lowpass = "hamming_fir"  # or "butterworth"
 """
@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from roadgrip.errors import ConfigurationError
 from vehicle_client.estimation.filters import LowPass
-from vehicle_client.estimation.observer import PAPER_PARAMETERS, ObserverParameters
+from vehicle_client.estimation.observer import XC90_PARAMETERS, ObserverParameters
 from vehicle_client.estimation.vehicle_geometry import XC90, VehicleGeometry
 
 if TYPE_CHECKING:
@@ -42,11 +42,11 @@ class VehicleProfile:
 
     name: str
     geometry: VehicleGeometry
-    parameters: ObserverParameters = PAPER_PARAMETERS
+    parameters: ObserverParameters = XC90_PARAMETERS
 
 
 PAPER_VEHICLE = VehicleProfile(name="Volvo XC90 2015", geometry=XC90)
-"""The car of the paper, with the paper's constants."""
+"""The car of the paper."""
 
 
 def profile_of_toml(text: str, *, place: str) -> VehicleProfile:

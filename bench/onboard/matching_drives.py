@@ -13,7 +13,7 @@ from roadgrip.section import RoadSection
 from roadgrip.units import SAMPLE_S, BoolArray, FloatArray
 from training.random_roads import random_section
 from vehicle_client.estimation.filters import smoothed
-from vehicle_client.estimation.observer import PAPER_PARAMETERS
+from vehicle_client.estimation.observer import XC90_PARAMETERS
 from vehicle_client.estimation.trace import Trace
 from vehicle_client.estimation.vehicle_geometry import XC90
 from vehicle_client.estimation.vertical import vertical_velocity_mps
@@ -120,7 +120,7 @@ def leg_of(trace: Trace, station_m: FloatArray) -> Leg:
         smoothed(trace.accel_x_mps2),
         np.zeros_like(trace.yaw_rate_radps),
         vehicle=XC90,
-        parameters=PAPER_PARAMETERS,
+        parameters=XC90_PARAMETERS,
     )
     climb = vertical_velocity_mps(trace.accel_x_mps2, speed, trace.yaw_rate_radps)
     return Leg(speed, trace.yaw_rate_radps, climb, station_m)

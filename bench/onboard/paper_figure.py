@@ -12,14 +12,13 @@ from bench.marked_tables import table
 from bench.onboard.agreement import agreement, pooled
 from bench.onboard.chapters import Figures
 from bench.onboard.drives import GRADES, SEED
-from bench.onboard.variants import PULL_TO_ZERO
 from bench.validation.picture import OURS, QUIET, THEORY, THIRD, headroom, label, legend, line, panels, write
 from roadgrip.records import Rejected
 from roadgrip.section import RoadSection
 from roadgrip.sections import read_section
 from roadgrip.units import GRAVITY_MPS2, FloatArray, kph_to_mps, mps_to_kph
 from training.scenarios import chance
-from vehicle_client.estimation.observer import PAPER_PARAMETERS, ObserverParameters
+from vehicle_client.estimation.observer import PAPER_PARAMETERS, XC90_PARAMETERS, ObserverParameters
 from vehicle_client.estimation.offsets import NO_OFFSETS
 from vehicle_client.estimation.signals import kinematic_signals
 from vehicle_client.estimation.summary import KinematicSignals
@@ -124,12 +123,12 @@ def _draw_drive(panel: Any, section: RoadSection, plan: PassagePlan, *, words: s
         road_map = map_as_surveyed(section, rng=chance(SEED, "paper_figure map"), sensors=SENSORS[grade])
         drive = simulate_passage(section, replace(plan, sensor_grade=grade))
         truth = drive.truth
-        estimate = _signals(drive, road_map, PAPER_PARAMETERS).sideslip_rad
+        estimate = _signals(drive, road_map, XC90_PARAMETERS).sideslip_rad
         inside = (truth.station_m >= 0.0) & (truth.station_m <= section.length_m)
         since_s = truth.time_s - truth.time_s[inside][0]
         if grade is GRADES[0]:
             _line(panel, since_s[inside], truth.sideslip_rad[inside], TRUTH_COLOUR, linewidth=2.2)
-            pulled = _signals(drive, road_map, PULL_TO_ZERO).sideslip_rad
+            pulled = _signals(drive, road_map, PAPER_PARAMETERS).sideslip_rad
             _line(panel, since_s[inside], pulled[inside], THEORY, linewidth=1.2)
             figures |= {
                 "outcome": drive.outcome.value,

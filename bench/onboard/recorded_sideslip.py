@@ -9,13 +9,14 @@ from typing import Any
 import numpy as np
 
 from bench.onboard.laps import bank_of_other_laps_rad, gravity_by_reference_mps2, laps_of, repeats_correlation
-from bench.onboard.variants import PULL_TO_ZERO, with_widths
+from bench.onboard.variants import with_widths
 from roadgrip.units import GRAVITY_MPS2, SAMPLE_S, BoolArray, FloatArray
 from training.observer_tuning import best_parameters, estimated_sideslip_rad, usual_constants
 from training.reference_drives import MOVING_MPS, ReferenceDrive, level_road, parts_of_recording
 from vehicle_client.estimation.filters import slow_part, smoothed
 from vehicle_client.estimation.observer import (
     PAPER_PARAMETERS,
+    XC90_PARAMETERS,
     ObserverParameters,
     gripping_velocity_y_mps,
     sideslip_rad,
@@ -34,7 +35,7 @@ SLOW_CROSSOVER_HZ = 0.02
 OF_THE_BODY = ("rear_slip_gradient_s2pm", "roll_gradient_s2pm", "roll_crossover_hz")
 """Constants that a person could measure on the car, unlike those of the observer."""
 SLIP_GRADIENTS_S2PM = np.arange(0.002, 0.01201, 0.00025)
-PULLS = {"to_zero": PULL_TO_ZERO, "to_gripping_car": PAPER_PARAMETERS}
+PULLS = {"to_zero": PAPER_PARAMETERS, "to_gripping_car": XC90_PARAMETERS}
 SMALL, LARGE = 1e-6, 1e6
 """Factors on the widths of F that make it zero in motion, and one."""
 
@@ -136,10 +137,10 @@ def by_pull(racing: Racing) -> dict[str, Any]:
 
     first = racing.moving & ~racing.later
     fitted = min(
-        (replace(PAPER_PARAMETERS, rear_slip_gradient_s2pm=float(gradient)) for gradient in SLIP_GRADIENTS_S2PM),
+        (replace(XC90_PARAMETERS, rear_slip_gradient_s2pm=float(gradient)) for gradient in SLIP_GRADIENTS_S2PM),
         key=lambda parameters: rms((gripping_rad(parameters) - racing.truth_rad)[first]),
     )
-    rows["gripping_car_alone"] = racing.judged(gripping_rad(PAPER_PARAMETERS))
+    rows["gripping_car_alone"] = racing.judged(gripping_rad(XC90_PARAMETERS))
     rows["gripping_car_alone_fitted"] = racing.judged(gripping_rad(fitted)) | {
         "rear_slip_gradient_s2pm": fitted.rear_slip_gradient_s2pm
     }
@@ -216,7 +217,7 @@ def improvements(racing: Racing) -> tuple[dict[str, Any], ObserverParameters]:
         "longest_straight_s": straights.straight_s,
     }
     constants = {
-        name: {"before": getattr(PAPER_PARAMETERS, name), "after": getattr(recalibrated, name)}
+        name: {"before": getattr(XC90_PARAMETERS, name), "after": getattr(recalibrated, name)}
         for name in usual_constants()
     }
     return {"rows": rows, "evidence": evidence, "recalibrated_constants": constants}, recalibrated

@@ -12,7 +12,7 @@ from bench.onboard.variants import with_widths
 from roadgrip.units import SAMPLE_S, BoolArray, FloatArray
 from training.reference_drives import MOVING_MPS, level_road
 from vehicle_client.estimation.filters import rate_of_change, smoothed
-from vehicle_client.estimation.observer import PAPER_PARAMETERS
+from vehicle_client.estimation.observer import XC90_PARAMETERS
 from vehicle_client.estimation.offsets import NO_OFFSETS, sensor_offsets
 from vehicle_client.estimation.signals import kinematic_signals
 from vehicle_client.estimation.trace import WHEELS
@@ -159,7 +159,7 @@ def _block_mps(recording: Recording, vehicle: VehicleGeometry, wheel_speed_mps: 
         smoothed(trace.accel_x_mps2),
         np.zeros(trace.samples_count),
         vehicle=vehicle,
-        parameters=PAPER_PARAMETERS,
+        parameters=XC90_PARAMETERS,
     )
 
 

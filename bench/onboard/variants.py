@@ -9,7 +9,7 @@ import numpy as np
 
 from bench.onboard.drives import Watched
 from roadgrip.section import RoadSection, build_section
-from vehicle_client.estimation.observer import PAPER_PARAMETERS, ObserverParameters
+from vehicle_client.estimation.observer import PAPER_PARAMETERS, XC90_PARAMETERS, ObserverParameters
 from vehicle_client.estimation.offsets import NO_OFFSETS
 from vehicle_client.estimation.signals import kinematic_signals
 from vehicle_client.estimation.summary import KinematicSignals
@@ -41,7 +41,7 @@ class Variant:
     """
 
     words: str
-    parameters: ObserverParameters = PAPER_PARAMETERS
+    parameters: ObserverParameters = XC90_PARAMETERS
     with_offsets: bool = True
     map_of: Callable[[Watched, RoadSection], RoadSection] = lambda watched, _: watched.road_map
 
@@ -62,20 +62,16 @@ def without_bank(section: RoadSection) -> RoadSection:
     )
 
 
-PULL_TO_ZERO = replace(PAPER_PARAMETERS, grip_pull_ratio=0.0)
-"""As the paper has it: on what it takes for a straight, F pulls the lateral velocity to zero."""
-
-
 def of_another_car(factor: float) -> ObserverParameters:
     """Return the constants with the slip gradient of the rear axle wrong by a factor."""
-    return replace(PAPER_PARAMETERS, rear_slip_gradient_s2pm=factor * PAPER_PARAMETERS.rear_slip_gradient_s2pm)
+    return replace(XC90_PARAMETERS, rear_slip_gradient_s2pm=factor * XC90_PARAMETERS.rear_slip_gradient_s2pm)
 
 
 VARIANTS: Mapping[str, Variant] = {
-    "pull_to_zero": Variant("F pulls to zero, as in the paper", PULL_TO_ZERO),
-    "f_zero": Variant("F = 0: nothing is pulled", with_widths(PAPER_PARAMETERS, 1e-6)),
-    "f_one": Variant("F = 1: pulled all the time", with_widths(PAPER_PARAMETERS, 1e6)),
-    "f_one_to_zero": Variant("F = 1, to zero", with_widths(PULL_TO_ZERO, 1e6)),
+    "pull_to_zero": Variant("F pulls to zero, as in the paper", PAPER_PARAMETERS),
+    "f_zero": Variant("F = 0: nothing is pulled", with_widths(XC90_PARAMETERS, 1e-6)),
+    "f_one": Variant("F = 1: pulled all the time", with_widths(XC90_PARAMETERS, 1e6)),
+    "f_one_to_zero": Variant("F = 1, to zero", with_widths(PAPER_PARAMETERS, 1e6)),
     "stiffer_tyres": Variant("rear tyres taken for 30 % stiffer than they are", of_another_car(0.7)),
     "softer_tyres": Variant("rear tyres taken for 30 % softer than they are", of_another_car(1.3)),
     "no_offsets": Variant("no offsets subtracted", with_offsets=False),

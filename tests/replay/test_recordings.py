@@ -15,7 +15,7 @@ from tests.replay.recordings import FERRARI, FOLDER, INDY, MOTORWAY, recording, 
 from training.observer_tuning import tune
 from training.reference_drives import ReferenceFormat, level_road, parts_of_recording, recording_with_reference
 from vehicle_client.estimation.filters import rate_of_change, smoothed
-from vehicle_client.estimation.observer import PAPER_PARAMETERS
+from vehicle_client.estimation.observer import XC90_PARAMETERS
 from vehicle_client.estimation.offsets import NO_OFFSETS
 from vehicle_client.estimation.signals import kinematic_signals
 from vehicle_client.estimation.trace import mirrored
@@ -85,22 +85,22 @@ def _whole_ferrari(parameters):
 
 def _with_widths(factor):
     """Return the XC90's constants with F(t) always one (large) or, in motion, never anything (small)."""
-    widths = [f.name for f in fields(PAPER_PARAMETERS) if f.name.startswith("sigma_") and "wheel" not in f.name]
+    widths = [f.name for f in fields(XC90_PARAMETERS) if f.name.startswith("sigma_") and "wheel" not in f.name]
     assert len(widths) == 6
-    return replace(PAPER_PARAMETERS, **{name: factor * getattr(PAPER_PARAMETERS, name) for name in widths})
+    return replace(XC90_PARAMETERS, **{name: factor * getattr(XC90_PARAMETERS, name) for name in widths})
 
 
 @pytest.mark.parametrize(
     ("parameters", "pulled_to_zero", "error_rad", "correlation", "gain"),
     [
-        (PAPER_PARAMETERS, False, 0.0103, 0.956, 1.10),
+        (XC90_PARAMETERS, False, 0.0103, 0.956, 1.10),
         (_with_widths(1e6), False, 0.0080, 0.977, 1.11),
         (_with_widths(1e-6), False, 0.0130, 0.940, 1.15),
-        (PAPER_PARAMETERS, True, 0.0181, 0.792, 0.59),
+        (XC90_PARAMETERS, True, 0.0181, 0.792, 0.59),
         (_with_widths(1e6), True, 0.0249, 0.633, 0.19),
         (_with_widths(1e-6), True, 0.0191, 0.754, 0.63),
         # This car's roll gradient, as its reference tells it on the first half: a quarter of the XC90's.
-        (replace(PAPER_PARAMETERS, roll_gradient_s2pm=0.00217), False, 0.0071, 0.978, 1.07),
+        (replace(XC90_PARAMETERS, roll_gradient_s2pm=0.00217), False, 0.0071, 0.978, 1.07),
     ],
     ids=["ours", "f_one", "f_zero", "to_zero", "f_one_to_zero", "f_zero_to_zero", "own_roll_gradient"],
 )
@@ -122,7 +122,7 @@ def test_constants_tuned_to_one_half_of_the_ferrari_help_on_the_other():
     tuning = tune(
         [first],
         [rest],
-        PAPER_PARAMETERS,
+        XC90_PARAMETERS,
         constants=["rear_slip_gradient_s2pm", "roll_gradient_s2pm", "roll_crossover_hz"],
         evaluations_limit_count=40,
         seed=1,
@@ -158,7 +158,7 @@ def test_the_speed_block_beats_the_plain_mean_of_four_wheels():
         smoothed(trace.accel_x_mps2),
         np.zeros(trace.samples_count),
         vehicle=INDY_GEOMETRY,
-        parameters=PAPER_PARAMETERS,
+        parameters=XC90_PARAMETERS,
     )
     mean = trace.wheel_speed_mps.mean(axis=1)
 

@@ -8,7 +8,7 @@ import pytest
 from tests.replay.recordings import FERRARI, INDY, MAPPINGS, MOTORWAY, recording
 from vehicle_client.estimation.filters import smoothed
 from vehicle_client.estimation.gaps import believable, bridged
-from vehicle_client.estimation.observer import PAPER_PARAMETERS
+from vehicle_client.estimation.observer import XC90_PARAMETERS
 from vehicle_client.estimation.plausibility import Finding, Sensor, findings
 from vehicle_client.estimation.trace import Trace, part_of
 from vehicle_client.estimation.wheel_speed import encoder_speed_mps
@@ -50,7 +50,7 @@ def found_in(trace: Trace, name: str, *, from_s: float, to_s: float) -> tuple[Fi
         smoothed(trace.accel_x_mps2),
         np.zeros(trace.samples_count),
         vehicle=vehicle,
-        parameters=PAPER_PARAMETERS,
+        parameters=XC90_PARAMETERS,
     )
     return findings(trace, speed, from_s=from_s, to_s=to_s, vehicle=vehicle)
 

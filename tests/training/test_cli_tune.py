@@ -9,10 +9,10 @@ from typer.testing import CliRunner
 from tests.training.gripping_drives import gripping_recording, reference_csv
 from training.cli import app, run
 from training.cli_tune import DEFAULT_BASE_FRICTIONS_MU
-from vehicle_client.estimation.observer import PAPER_PARAMETERS
+from vehicle_client.estimation.observer import XC90_PARAMETERS
 from vehicle_client.vehicle_profile import PAPER_VEHICLE, profile_of_toml, toml_of_profile
 
-HALF = PAPER_PARAMETERS.rear_slip_gradient_s2pm / 2.0
+HALF = XC90_PARAMETERS.rear_slip_gradient_s2pm / 2.0
 QUICK = ("--constant", "rear_slip_gradient_s2pm", "--evaluations", "40")
 
 
@@ -75,7 +75,7 @@ def test_what_does_not_help_where_it_was_not_tuned_is_said_and_not_kept(inside, 
     assert result.exit_code == 0, result.output
     assert "did not become better" in result.output
     profile = profile_of_toml((inside / "car.toml").read_text(encoding="utf-8"), place="car.toml")
-    assert (profile.parameters == PAPER_PARAMETERS) is kept
+    assert (profile.parameters == XC90_PARAMETERS) is kept
 
 
 @pytest.mark.parametrize(

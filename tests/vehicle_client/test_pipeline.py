@@ -33,7 +33,6 @@ from vehicle_client.pipeline import Summarised, summarise_passage
 SECTION = road(s_turn)
 TRACE, STATION = drive_over(s_turn)
 ENTRY = int(np.searchsorted(STATION, 0.0))
-TO_ZERO = replace(PAPER_PARAMETERS, grip_pull_ratio=0.0)
 """The synthetic car has no sideslip at its centre of gravity, as the paper expects; one that rolls has some."""
 
 
@@ -56,7 +55,7 @@ def quantities(summary) -> list[float]:
     return [v for v, f in zip(summary.values, KINEMATIC_FEATURES, strict=True) if f.unit]
 
 
-def signals_of(trace: Trace, section=SECTION, station_m=None, parameters=TO_ZERO):
+def signals_of(trace: Trace, section=SECTION, station_m=None, parameters=PAPER_PARAMETERS):
     return kinematic_signals(
         trace,
         section,
@@ -71,7 +70,7 @@ def signals_of(trace: Trace, section=SECTION, station_m=None, parameters=TO_ZERO
 
 
 def test_a_drive_without_sideslip_is_summarised_as_one():
-    result = made(summarise_passage(TRACE, SECTION, parameters=TO_ZERO))
+    result = made(summarise_passage(TRACE, SECTION, parameters=PAPER_PARAMETERS))
     values = table(result.summary)
     assert result.summary.table_digest == TABLE_DIGEST
     assert result.summary.duration_s == pytest.approx(400.0 / 15.0, abs=0.02)
@@ -122,7 +121,9 @@ def test_the_bank_of_the_map_is_not_taken_for_sliding(slope):
     signals = signals_of(trace, section, station)
     assert np.abs(signals.sideslip_rad).max() < 2e-3
     assert np.abs(signals.chassis_roll_rad).max() < 1e-3
-    assert np.abs(made(summarise_passage(trace, section, parameters=TO_ZERO)).signals.sideslip_rad).max() < 2e-3
+    assert (
+        np.abs(made(summarise_passage(trace, section, parameters=PAPER_PARAMETERS)).signals.sideslip_rad).max() < 2e-3
+    )
 
 
 @settings(max_examples=10, deadline=None)

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from roadgrip.errors import ConfigurationError
 from vehicle_client.estimation.filters import LowPass
-from vehicle_client.estimation.observer import PAPER_PARAMETERS, ObserverParameters
+from vehicle_client.estimation.observer import XC90_PARAMETERS, ObserverParameters
 from vehicle_client.vehicle_profile import PAPER_VEHICLE, profile_of_toml, toml_of_profile
 
 SHORTEST = "[geometry]\nwheelbase_m = 2.6\ntrack_m = 1.5\nfront_axle_m = 1.2\n"
@@ -26,9 +26,9 @@ def test_a_vehicle_comes_back_from_its_file(name, values, lowpass):
     assert profile_of_toml(toml_of_profile(profile), place="car.toml") == profile
 
 
-def test_what_is_not_said_is_the_papers():
+def test_what_is_not_said_is_as_in_the_papers_car():
     profile = profile_of_toml(SHORTEST, place="car.toml")
-    assert profile.parameters == PAPER_PARAMETERS
+    assert profile.parameters == XC90_PARAMETERS
     assert profile.geometry.imu_x_m == 0.0
     assert profile.name == "car.toml"
 

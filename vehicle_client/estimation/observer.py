@@ -67,7 +67,10 @@ class ObserverParameters:
     lowpass: LowPass = LowPass.HAMMING_FIR
 
 
-PAPER_PARAMETERS = ObserverParameters()
+XC90_PARAMETERS = ObserverParameters()
+"""For the car of the paper, with what we added."""
+PAPER_PARAMETERS = ObserverParameters(grip_pull_ratio=0.0)
+"""The same with the paper's own pull of the lateral velocity, to zero."""
 
 
 def sideslip_rate_radps(

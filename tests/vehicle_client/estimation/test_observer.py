@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from vehicle_client.estimation.observer import (
-    PAPER_PARAMETERS,
+    XC90_PARAMETERS,
     gripping_velocity_y_mps,
     observed_velocity_mps,
     sideslip_rad,
@@ -24,11 +24,11 @@ ZERO = np.zeros(N)
 
 
 def observe(ax, ay, w, v, f):
-    return observed_velocity_mps(ax, ay, w, v, f, parameters=PAPER_PARAMETERS)
+    return observed_velocity_mps(ax, ay, w, v, f, parameters=XC90_PARAMETERS)
 
 
 def test_the_constants_are_the_papers():
-    p = PAPER_PARAMETERS
+    p = XC90_PARAMETERS
     assert (p.alpha_0_1ps, p.alpha_1_ratio, p.alpha_2_ratio, p.accel_x_threshold_mps2) == (15.0, 14.0, 5.0, 1.0)
     assert (p.sigma_wheel_steady_mps2, p.sigma_wheel_accelerating_mps2) == (4.5, 1.0)
     assert (p.sigma_yaw_rate_radps, p.sigma_yaw_accel_radps2, p.sigma_steer_rad) == (0.22, 0.22, 0.12)
@@ -56,14 +56,14 @@ def test_a_steady_circle_with_sideslip_settles_between_it_and_what_is_pulled_to(
         np.full(N, w),
         np.full(N, v),
         np.full(N, f),
-        parameters=PAPER_PARAMETERS,
+        parameters=XC90_PARAMETERS,
         gripping_velocity_y_mps=held,
     )
     kept = 6.0 * w**2 / (15.0 + 14.0 * w)
     # Both runs have forgotten their start in the middle: 7.5 s at a rate of more than 0.4 per second.
     assert y[N // 2] == pytest.approx((kept * vy + f * (pulled_to_mps or 0.0)) / (kept + f), abs=0.03)
     long = np.full(20 * N, 1.0)
-    _, y = observer(-w * vy * long, w * v * long, w * long, v * long, f * long, parameters=PAPER_PARAMETERS)
+    _, y = observer(-w * vy * long, w * v * long, w * long, v * long, f * long, parameters=XC90_PARAMETERS)
     assert y[10 * N] == pytest.approx(kept * vy / (kept + f), abs=1e-9)
 
 
@@ -71,7 +71,7 @@ def test_run_both_ways_the_observer_lags_nothing_and_keeps_w2_over_w2_plus_f2():
     omega, f = 1.5, 0.5
     vy = np.sin(omega * TIME_S)
     _, y = two_way_velocity_mps(
-        ZERO, np.gradient(vy, 0.01), ZERO, np.full(N, 20.0), np.full(N, f), parameters=PAPER_PARAMETERS
+        ZERO, np.gradient(vy, 0.01), ZERO, np.full(N, 20.0), np.full(N, f), parameters=XC90_PARAMETERS
     )
     middle = slice(700, 800)
     assert np.abs(y - omega**2 / (omega**2 + f**2) * vy)[middle].max() < 0.05
@@ -79,7 +79,7 @@ def test_run_both_ways_the_observer_lags_nothing_and_keeps_w2_over_w2_plus_f2():
 
 def test_run_both_ways_an_offset_of_the_accelerometer_cancels():
     _, y = two_way_velocity_mps(
-        ZERO, np.full(N, 0.1), ZERO, np.full(N, 20.0), np.full(N, 3.0), parameters=PAPER_PARAMETERS
+        ZERO, np.full(N, 0.1), ZERO, np.full(N, 20.0), np.full(N, 3.0), parameters=XC90_PARAMETERS
     )
     assert abs(y[N // 2]) < 1e-9
 
@@ -88,9 +88,9 @@ def test_run_both_ways_time_may_run_backward():
     rng = np.random.default_rng(4)
     ax, ay, w = rng.normal(0.0, 0.3, (3, N))
     v, f, held = np.full(N, 15.0), rng.uniform(0.0, 1.0, N), rng.normal(0.0, 0.1, N)
-    x, y = two_way_velocity_mps(ax, ay, w, v, f, parameters=PAPER_PARAMETERS, gripping_velocity_y_mps=held)
+    x, y = two_way_velocity_mps(ax, ay, w, v, f, parameters=XC90_PARAMETERS, gripping_velocity_y_mps=held)
     back = two_way_velocity_mps(
-        -ax[::-1], -ay[::-1], -w[::-1], v, f[::-1], parameters=PAPER_PARAMETERS, gripping_velocity_y_mps=held[::-1]
+        -ax[::-1], -ay[::-1], -w[::-1], v, f[::-1], parameters=XC90_PARAMETERS, gripping_velocity_y_mps=held[::-1]
     )
     assert np.allclose(back[0][::-1], x, atol=1e-12)
     assert np.allclose(back[1][::-1], y, atol=1e-12)
@@ -99,7 +99,7 @@ def test_run_both_ways_time_may_run_backward():
 def test_a_gripping_car_turns_about_a_point_beside_its_rear_axle():
     # Slowly round a circle of 20 m: sideslip is the distance of the rear axle over the radius.
     w = np.full(N, 2.0 / 20.0)
-    p = replace(PAPER_PARAMETERS, rear_slip_gradient_s2pm=0.005)
+    p = replace(XC90_PARAMETERS, rear_slip_gradient_s2pm=0.005)
     slow = gripping_velocity_y_mps(ZERO, w, np.full(N, 2.0), rear_axle_m=1.5, parameters=p)
     assert np.allclose(slow / 2.0, 1.5 / 20.0)
     # Four m/s^2 take 0.02 rad of slip at the rear tyres.
@@ -108,11 +108,11 @@ def test_a_gripping_car_turns_about_a_point_beside_its_rear_axle():
 
 
 def test_a_car_on_a_straight_grips_without_lateral_velocity():
-    assert not gripping_velocity_y_mps(ZERO, ZERO, np.full(N, 30.0), rear_axle_m=1.5, parameters=PAPER_PARAMETERS).any()
+    assert not gripping_velocity_y_mps(ZERO, ZERO, np.full(N, 30.0), rear_axle_m=1.5, parameters=XC90_PARAMETERS).any()
 
 
 def test_the_papers_pull_to_zero_is_a_constant_away():
-    p = replace(PAPER_PARAMETERS, grip_pull_ratio=0.0)
+    p = replace(XC90_PARAMETERS, grip_pull_ratio=0.0)
     assert not gripping_velocity_y_mps(
         np.full(N, 4.0), np.full(N, 0.3), np.full(N, 13.0), rear_axle_m=1.5, parameters=p
     ).any()
@@ -165,10 +165,10 @@ def test_the_mirror_slides_the_other_way():
 
 
 def test_straight_driving_pulls_with_one_per_second_and_action_does_not():
-    assert np.allclose(straightness_1ps(ZERO, ZERO, ZERO, parameters=PAPER_PARAMETERS), 1.0)
+    assert np.allclose(straightness_1ps(ZERO, ZERO, ZERO, parameters=XC90_PARAMETERS), 1.0)
     w = np.full(N, 0.22)
-    assert np.allclose(straightness_1ps(w, ZERO, ZERO, parameters=PAPER_PARAMETERS), np.exp(-0.5))
-    assert straightness_1ps(w * 4, ZERO + 0.4, ZERO, parameters=PAPER_PARAMETERS).max() < 1e-5
+    assert np.allclose(straightness_1ps(w, ZERO, ZERO, parameters=XC90_PARAMETERS), np.exp(-0.5))
+    assert straightness_1ps(w * 4, ZERO + 0.4, ZERO, parameters=XC90_PARAMETERS).max() < 1e-5
 
 
 def test_the_sideslip_rate_is_what_turns_the_velocity_beyond_the_yaw():

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from roadgrip.units import GRAVITY_MPS2, SAMPLE_S, FloatArray
 from tests.vehicle_client.synthetic import bump, clock_s, motion, negative, road, with_noise
 from vehicle_client.estimation.mounting import mounting_rotation
-from vehicle_client.estimation.observer import PAPER_PARAMETERS, ObserverParameters
+from vehicle_client.estimation.observer import PAPER_PARAMETERS, XC90_PARAMETERS, ObserverParameters
 from vehicle_client.estimation.offsets import NO_OFFSETS
 from vehicle_client.estimation.signals import kinematic_signals
 from vehicle_client.estimation.summary import KinematicSignals
@@ -20,8 +20,7 @@ from vehicle_client.estimation.vehicle_geometry import XC90, VehicleGeometry
 N = 2000
 TIME_S = clock_s(N)
 LEVEL = road(lambda station_m: bump(station_m, start_m=0.0, length_m=1.0, peak_1pm=0.0))
-SLIP_FREE = replace(PAPER_PARAMETERS, rear_slip_gradient_s2pm=0.0)
-TO_ZERO = replace(PAPER_PARAMETERS, grip_pull_ratio=0.0)
+SLIP_FREE = replace(XC90_PARAMETERS, rear_slip_gradient_s2pm=0.0)
 SIGNED = {
     "steer_rad",
     "sideslip_rad",
@@ -38,7 +37,7 @@ def estimated(
     *,
     section=LEVEL,
     vehicle: VehicleGeometry = XC90,
-    parameters: ObserverParameters = PAPER_PARAMETERS,
+    parameters: ObserverParameters = XC90_PARAMETERS,
 ) -> KinematicSignals:
     return kinematic_signals(
         trace,
@@ -91,7 +90,7 @@ def test_a_bicycle_that_changes_lanes_without_slip_is_seen_exactly():
 def test_a_bicycle_whose_tyres_slip_in_proportion_is_seen_exactly(swing_mps):
     v = 18.0 + swing_mps * np.sin(0.4 * TIME_S)
     w = lane_changes_radps(TIME_S)
-    left = gripping_velocity_mps(v, w, PAPER_PARAMETERS.rear_slip_gradient_s2pm)
+    left = gripping_velocity_mps(v, w, XC90_PARAMETERS.rear_slip_gradient_s2pm)
     found = estimated(motion(v, w, velocity_y_mps=left))
     assert np.abs(found.sideslip_rad - np.arctan(left / v))[100:-100].max() < 6e-4
 
@@ -100,7 +99,7 @@ def test_a_bicycle_whose_tyres_slip_in_proportion_is_seen_exactly(swing_mps):
 def test_a_steady_circle_at_the_sideslip_of_a_gripping_car_is_seen_exactly(radius_m):
     speed = np.sqrt(3.0 * radius_m)
     v, w = np.full(N, speed), np.full(N, speed / radius_m)
-    sideslip = XC90.rear_axle_m / radius_m - PAPER_PARAMETERS.rear_slip_gradient_s2pm * speed**2 / radius_m
+    sideslip = XC90.rear_axle_m / radius_m - XC90_PARAMETERS.rear_slip_gradient_s2pm * speed**2 / radius_m
     found = estimated(motion(v, w, velocity_y_mps=v * sideslip))
     assert found.sideslip_rad[N // 2] == pytest.approx(np.arctan(sideslip), abs=2e-4)
     # In a steady circle the formula of the paper knows no sideslip rate, whatever the sideslip.
@@ -121,7 +120,7 @@ def test_sliding_that_nobody_expects_is_seen_in_time_and_sign(frequency_hz):
 def test_the_sideslip_rate_is_the_papers_formula():
     v, w = np.full(N, 20.0), np.zeros(N)
     left = 0.4 * np.sin(3.0 * TIME_S)
-    found = estimated(motion(v, w, velocity_y_mps=left), parameters=TO_ZERO)
+    found = estimated(motion(v, w, velocity_y_mps=left), parameters=PAPER_PARAMETERS)
     assert np.abs(found.sideslip_rate_radps - 1.2 * np.cos(3.0 * TIME_S) / 20.0)[200:-200].max() < 2e-3
 
 
@@ -136,7 +135,7 @@ def test_a_parked_car_has_no_motion():
 
 
 def test_constant_signals_stay_constant():
-    found = estimated(motion(np.full(N, 14.0), np.full(N, 0.18)), parameters=TO_ZERO)
+    found = estimated(motion(np.full(N, 14.0), np.full(N, 0.18)), parameters=PAPER_PARAMETERS)
     for field in fields(KinematicSignals):
         values = getattr(found, field.name)
         assert np.abs(values - values[0]).max() < 1e-9, field.name
@@ -239,7 +238,7 @@ def test_a_car_parked_on_a_bank_does_not_slide(slope):
 def test_a_car_straight_along_a_bank_crabs_as_its_tyres_hold_it_and_no_more(slope, known):
     tilt = float(np.arctan(slope))
     v, w = np.full(N, 20.0), np.zeros(N)
-    left = gripping_velocity_mps(v, w, PAPER_PARAMETERS.rear_slip_gradient_s2pm, tilt)
+    left = gripping_velocity_mps(v, w, XC90_PARAMETERS.rear_slip_gradient_s2pm, tilt)
     section = road(lambda station_m: 0.0 * station_m, cross_slope_ratio=slope if known else 0.0)
     found = estimated(motion(v, w, velocity_y_mps=left, tilt_rad=tilt), section=section)
     assert np.abs(found.sideslip_rad - np.arctan(left / v)).max() < 1e-5
@@ -249,8 +248,8 @@ def test_a_car_straight_along_a_bank_crabs_as_its_tyres_hold_it_and_no_more(slop
 def test_a_car_without_a_roll_gyro_sees_its_sideslip_too():
     # The lean of the body, 1 degree to either side, would else be taken for 0.17 m/s^2 of sliding.
     v, w = np.full(N, 15.0), lane_changes_radps(TIME_S)
-    left = gripping_velocity_mps(v, w, PAPER_PARAMETERS.rear_slip_gradient_s2pm)
-    lean = PAPER_PARAMETERS.roll_gradient_s2pm * (np.gradient(left, SAMPLE_S) + w * v)
+    left = gripping_velocity_mps(v, w, XC90_PARAMETERS.rear_slip_gradient_s2pm)
+    lean = XC90_PARAMETERS.roll_gradient_s2pm * (np.gradient(left, SAMPLE_S) + w * v)
     trace = motion(v, w, velocity_y_mps=left, tilt_rad=lean)
     lacking = replace(trace, roll_rate_radps=np.zeros(N), absent=("roll_rate_radps",))
     truth = np.arctan(left / v)
@@ -266,5 +265,5 @@ def test_a_car_without_a_roll_gyro_sees_its_sideslip_too():
 
 def test_a_bank_that_comes_and_goes_is_not_taken_for_sliding():
     tilt = 0.05 * np.sin(2.0 * np.pi * TIME_S / 10.0) ** 2
-    found = estimated(motion(np.full(N, 20.0), np.zeros(N), tilt_rad=tilt), parameters=TO_ZERO)
+    found = estimated(motion(np.full(N, 20.0), np.zeros(N), tilt_rad=tilt), parameters=PAPER_PARAMETERS)
     assert np.abs(found.sideslip_rad).max() < 1e-4

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.vehicle_client.synthetic import motion
-from vehicle_client.estimation.observer import PAPER_PARAMETERS
+from vehicle_client.estimation.observer import XC90_PARAMETERS
 from vehicle_client.estimation.trace import Trace, mirrored
 from vehicle_client.estimation.vehicle_geometry import XC90
 from vehicle_client.estimation.wheel_speed import encoder_speed_mps, speed_at_wheels_mps
@@ -24,7 +24,7 @@ def speed_of(trace: Trace, velocity_y_mps=None):
         trace.accel_x_mps2,
         np.zeros(N) if velocity_y_mps is None else velocity_y_mps,
         vehicle=XC90,
-        parameters=PAPER_PARAMETERS,
+        parameters=XC90_PARAMETERS,
     )
 
 
