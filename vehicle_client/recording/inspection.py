@@ -39,8 +39,8 @@ if TYPE_CHECKING:
     from vehicle_client.estimation.vehicle_geometry import VehicleGeometry
     from vehicle_client.recording.series import SeriesCount
 
-SLOW_HZ = 20.0
-"""Rarer values cannot show what the filters of 10 Hz keep."""
+SLOW_HZ = 18.0
+"""Values that come 20 times a second, with some jitter, are good enough (docs/decisions/0012)."""
 INVALID_LIMIT_FRAC = 0.05
 MISFIT_LIMIT = 0.9
 """Logarithm of a gain that no unit explains and no road does either: a factor of two and a half."""
