@@ -76,14 +76,14 @@ def made(chapter: str) -> tuple[dict[str, Any] | None, str]:
     """
     begun_s = time.monotonic()
     print(f"    {chapter} ...", flush=True)
+    # Each chapter says which code it saw, as it began: one can be remade without the others.
+    code = {"onboard_code": code_digest("vehicle_client.pipeline"), "simulator": compiled_cache_key()}
     try:
         figures = drawn(chapter, RESULTS_FOLDER)
     except InputMissingError as missing:
         return None, f"{_KEPT}: {missing}"
     except Exception:  # noqa: BLE001 - said and counted by the caller
         return None, f"failed\n{traceback.format_exc()}"
-    # Each chapter says which code it saw: one can be remade without the others.
-    code = {"onboard_code": code_digest("vehicle_client.pipeline"), "simulator": compiled_cache_key()}
     return rounded(figures) | code, f"{time.monotonic() - begun_s:.0f} s"
 
 
