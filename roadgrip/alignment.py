@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from roadgrip.errors import SectionError
+from roadgrip.order_statistics import distinct
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -127,7 +128,7 @@ def centre_line(
 
     # Heading is a polynomial on each element; east and north are Gauss sums of its cosine and sine over cells that
     # never span an element's end.
-    cells = np.unique(np.concatenate([station, starts, np.arange(0.0, starts[-1], _CELL_M)]))
+    cells = distinct(np.concatenate([station, starts, np.arange(0.0, starts[-1], _CELL_M)]))
     width = np.diff(cells)
     at = cells[:-1, None] + width[:, None] * (_GAUSS_AT + 1.0) / 2.0
     heading, _ = _heading_and_curvature(elements, starts, at.ravel())
@@ -188,7 +189,7 @@ def _grade_and_height(grades: Sequence[GradePoint], station_m: FloatArray) -> tu
     at = np.array([g.station_m for g in grades])
     value = np.array([g.grade_ratio for g in grades])
     # The grade is piecewise linear, so the trapezium rule is exact as long as its corners are on the grid.
-    grid = np.unique(np.concatenate([station_m, at[(at > station_m[0]) & (at < station_m[-1])]]))
+    grid = distinct(np.concatenate([station_m, at[(at > station_m[0]) & (at < station_m[-1])]]))
     grade = np.interp(grid, at, value)
     height = np.concatenate([[0.0], np.cumsum(np.diff(grid) * (grade[1:] + grade[:-1]) / 2.0)])
     return np.interp(station_m, at, value), np.interp(station_m, grid, height)

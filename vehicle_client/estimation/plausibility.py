@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from roadgrip.order_statistics import median
 from roadgrip.units import SAMPLE_RATE_HZ, SAMPLE_S
 from vehicle_client.estimation.liveness import clipped_s, frozen_rows, rests
 
@@ -174,8 +175,8 @@ def findings(
             found += _steering(blocks, vehicle.wheelbase_m, entered_count=entered)
             found += _steering_by_itself(trace, speed_mps, rows, vehicle.wheelbase_m)
     if "wheels" in blocks.told_radps:
-        median = np.median(blocks.wheel_mps, axis=1, keepdims=True)
-        apart = np.mean(np.abs(blocks.wheel_mps - median) > WHEEL_APART_RATIO * median, axis=0)
+        middle = np.sort(blocks.wheel_mps, axis=1)[:, 1:3].mean(axis=1, keepdims=True)
+        apart = np.mean(np.abs(blocks.wheel_mps - middle) > WHEEL_APART_RATIO * middle, axis=0)
         found.append(Finding(Sensor.WHEELS, "differs from the other three", float(apart.max()), WHEEL_APART_FRAC))
     return tuple(found)
 
@@ -326,7 +327,7 @@ def _steering_by_itself(trace: Trace, speed_mps: FloatArray, rows: slice, wheelb
     before = slice(max(0, fastest - RESTING_COUNT), fastest + 1)
     alive = any(np.ptp(channel[rows][before]) > 0.0 for channel in (trace.yaw_rate_radps, trace.accel_x_mps2))
     whole = alive and bool(valid[max(0, fastest - 2) : fastest + 4].all())
-    stays = abs(float(np.median(steer[fastest + 1 : fastest + 4]) - np.median(steer[fastest - 2 : fastest + 1])))
+    stays = abs(median(steer[fastest + 1 : fastest + 4]) - median(steer[fastest - 2 : fastest + 1]))
     size = min(float(alone[fastest - 2]), stays) if whole else 0.0
     yield Finding(Sensor.STEERING, "jumps within a sample, rad", size, STEER_STEP_RAD)
     borders = rests(steer, valid)

@@ -125,7 +125,9 @@ class Alignment:
 
 
 def metred_drive(line: DrivenLine, time_s: FloatArray) -> MetredDrive | None:
-    """Return a drive metre by metre, standstills left out; None where it is shorter than 15 m or not finite.
+    """Return a drive metre by metre, standstills left out; None where it is shorter than 15 m or no car's.
+
+    No car's is a drive that is not finite, or whose heading strays by more than a thousand turns.
 
     Args:
         line: From `driven_line`.
@@ -133,6 +135,8 @@ def metred_drive(line: DrivenLine, time_s: FloatArray) -> MetredDrive | None:
     """
     finite = np.isfinite(line.distance_m).all() and np.isfinite(line.heading_rad).all() and np.isfinite(time_s).all()
     if not finite or len(time_s) == 0 or not SMOOTHING_M < line.distance_m[-1] < _LONGEST_M:
+        return None
+    if np.abs(line.heading_rad).max() > _HEADING_LIMIT_RAD:
         return None
     moved = np.concatenate([np.diff(line.distance_m) > _MOVED_M, [True]])
     distance = line.distance_m[moved]
@@ -154,6 +158,7 @@ def metred_drive(line: DrivenLine, time_s: FloatArray) -> MetredDrive | None:
 
 
 _LONGEST_M = 200_000.0
+_HEADING_LIMIT_RAD = 2.0e3 * np.pi
 _FASTEST_SPM = 0.01
 
 

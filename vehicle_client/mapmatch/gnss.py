@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from roadgrip.geodesy import frame_of
+from roadgrip.order_statistics import median, quantile
 from roadgrip.records import Reason, Rejected
 from vehicle_client.mapmatch.match import MatchMethod, SectionMatch, section_match
 
@@ -141,7 +142,7 @@ def match_by_gnss(
         length_m=length,
         confidence_frac=agreeing_frac,
         # Receiver errors wander over minutes: within one passage they hardly average out.
-        position_std_m=float(np.hypot(np.median(np.abs(station - reckoned)[along]), np.median(gnss.accuracy_m[good]))),
+        position_std_m=float(np.hypot(median(np.abs(station - reckoned)[along]), median(gnss.accuracy_m[good]))),
         method=MatchMethod.GNSS,
     )
 
@@ -151,7 +152,7 @@ def _refusal(
 ) -> Rejected | None:
     """Return why a fitted drive is no passage of the section, if it is none."""
     if agreeing_frac < AGREEING_MIN_FRAC:
-        aside = float(np.quantile(np.abs(lateral_m), 0.7))
+        aside = quantile(np.abs(lateral_m), 0.7)
         if aside > APART_LIMIT_M:
             return Rejected(Reason.WRONG_ROAD, f"the fixes lie {aside:.0f} m beside the section")
         return Rejected(Reason.PASSAGE_ABORTED, "the vehicle turned round or left the section on the way")
@@ -192,7 +193,7 @@ def poor_along(gnss: GnssTrack, line: DrivenLine, time_s: FloatArray, match: Sec
         return True
     return (
         int(used.sum()) < USED_MIN_FRAC * int(along.sum())
-        or float(np.median(gnss.accuracy_m[used])) > ACCURACY_POOR_M
+        or median(gnss.accuracy_m[used]) > ACCURACY_POOR_M
         or match.confidence_frac < AGREEING_WELL_FRAC
     )
 
@@ -260,11 +261,11 @@ def _odometer_fit(station_m: FloatArray, travelled_m: FloatArray) -> tuple[float
     """
     middle = float(travelled_m.mean())
     at = travelled_m - middle
-    shift = float(np.median(station_m - travelled_m)) + middle
+    shift = median(station_m - travelled_m) + middle
     scale = 1.0
     for _ in range(_ROUNDS_COUNT):
         residual = station_m - shift - scale * at
-        size = max(0.5, 1.5 * float(np.median(np.abs(residual))))
+        size = max(0.5, 1.5 * median(np.abs(residual)))
         weight = np.minimum(1.0, size / np.maximum(np.abs(residual), 1e-9))
         centre = float(np.average(at, weights=weight))
         power = float(np.sum(weight * (at - centre) ** 2))

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from roadgrip.order_statistics import first_of_each
+
 if TYPE_CHECKING:
     from roadgrip.units import BoolArray, FloatArray
 
@@ -61,8 +63,8 @@ def section_match(
     Where the stations stop short of an end by the little that the caller tolerates, the trace's own end is taken.
     """
     # Beyond a standstill the first sample at a station counts for the entry as for the exit.
-    rising, first = np.unique(station_m, return_index=True)
-    entry, leave = np.interp([0.0, length_m], rising, time_s[first])
+    first = first_of_each(station_m)
+    entry, leave = np.interp([0.0, length_m], station_m[first], time_s[first])
     return SectionMatch(
         station_m=station_m,
         entry_s=float(entry),

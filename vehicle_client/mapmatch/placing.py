@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from roadgrip.geodesy import frame_of
+from roadgrip.order_statistics import median, quantile
 from roadgrip.records import Reason, Rejected
 from roadgrip.units import SAMPLE_S
 from vehicle_client.estimation.plausibility import Finding, Level, Sensor
@@ -173,10 +174,10 @@ def _fixes_allow(
         return False
     if on_it_frac >= ON_IT_FRAC and _against_motion(fixes, own, at_s):
         return True
-    middle = complex(np.median(off.real), np.median(off.imag))
+    middle = complex(median(off.real), median(off.imag))
     as_one = float(np.sqrt(np.mean(np.abs(off - middle) ** 2))) <= AS_ONE_RMS_M
     beside = (off * ahead.conj()).imag
-    spread = float(np.quantile(beside, 0.9) - np.quantile(beside, 0.1))
+    spread = quantile(beside, 0.9) - quantile(beside, 0.1)
     return as_one and abs(middle) <= FAR_LIMIT_M and spread > BESIDE_SPREAD_M
 
 
@@ -267,4 +268,4 @@ def _chords_ratio(gnss: GnssTrack, line: DrivenLine, time_s: FloatArray, section
         np.hypot(east[partner[first]] - east[first], north[partner[first]] - north[first])
         for east, north in ((x, y), (own_x, own_y))
     )
-    return float(np.median(by_fixes / np.maximum(by_wheels, CHORD_MIN_M)))
+    return median(by_fixes / np.maximum(by_wheels, CHORD_MIN_M))

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from roadgrip.errors import TraceError
+from roadgrip.order_statistics import median
 from roadgrip.records import QualityFlag
 from roadgrip.units import SAMPLE_S
 from vehicle_client.estimation.trace import Trace, check_trace
@@ -112,7 +113,7 @@ def _resampled(
     if whole.sum() < 2:
         return np.zeros((len(time_s), values.shape[1])), np.zeros(len(time_s), dtype=bool)
     known = from_s[whole]
-    limit = max(GAP_STEPS_COUNT * SAMPLE_S, GAP_STEPS_COUNT * float(np.median(np.diff(from_s))))
+    limit = max(GAP_STEPS_COUNT * SAMPLE_S, GAP_STEPS_COUNT * median(np.diff(from_s)))
     after = np.clip(np.searchsorted(known, time_s - ON_GRID_S), 1, len(known) - 1)
     apart = known[after] - known[after - 1]
     on_sample = np.minimum(np.abs(known[after] - time_s), np.abs(known[after - 1] - time_s)) <= SAMPLE_S / 2.0

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from roadgrip.errors import TraceError
+from roadgrip.order_statistics import median
 from roadgrip.records import QualityFlag
 from roadgrip.units import SAMPLE_S
 from vehicle_client.estimation.trace import GnssTrack, Trace, check_trace
@@ -166,7 +167,7 @@ def values_at(series: Series, time_s: FloatArray) -> tuple[FloatArray, BoolArray
     apart = known_s[after] - known_s[before]
     share = np.clip((time_s - known_s[before]) / apart, 0.0, 1.0)
     between = values[before] + share * (values[after] - values[before])
-    limit = min(GAP_STEPS_COUNT * max(SAMPLE_S, float(np.median(np.diff(known_s)))), GAP_LIMIT_S)
+    limit = min(GAP_STEPS_COUNT * max(SAMPLE_S, median(np.diff(known_s))), GAP_LIMIT_S)
     inside = (time_s >= known_s[0] - ON_GRID_S) & (time_s <= known_s[-1] + ON_GRID_S)
     # A sample that lies on a value needs no second one.
     result = np.where(inside & (apart <= limit), between, np.nan)
@@ -189,7 +190,7 @@ def count_of(series: Series) -> SeriesCount:
         values_count=len(time_s),
         repeated_count=repeated,
         invalid_count=int((~holds).sum()),
-        step_s=float(np.median(steps)) if len(steps) else float("nan"),
+        step_s=median(steps) if len(steps) else float("nan"),
         longest_gap_s=float(gaps.max()) if len(gaps) else float("nan"),
         lower=float(series.values[holds].min()) if holds.any() else float("nan"),
         upper=float(series.values[holds].max()) if holds.any() else float("nan"),
