@@ -40,10 +40,10 @@ def median(values: FloatArray) -> float:
     return float((ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2]) / 2.0)
 
 
-def first_of_each(ordered: FloatArray) -> BoolArray:
+def first_of_each(values: FloatArray) -> BoolArray:
     """Return which of values in ascending order are larger than the one before; the first is. (n,)"""
-    result: BoolArray = np.ones(len(ordered), dtype=np.bool_)
-    result[1:] = ordered[1:] > ordered[:-1]
+    result: BoolArray = np.ones(len(values), dtype=np.bool_)
+    result[1:] = values[1:] > values[:-1]
     return result
 
 

@@ -40,7 +40,7 @@ UNITS = set(
 # The last words that say a number has no dimension.
 DIMENSIONLESS = set(
     """
-    mu ratio frac fraction share count number index rank order exponent factor weight weights gain scale score level
+    mu ratio frac fraction share shares correlation count number index rank order exponent factor weight weights gain scale score level
     probability quantile speedup loss
     """.split()
 )

@@ -85,7 +85,8 @@ BY_DEAD_RECKONING: dict[Fault, Result | tuple[Result, ...]] = {
     Fault.CLOCK_JUMPS_AHEAD: refused(Reason.TOO_MANY_GAPS),
     Fault.CLOCK_JUMPS_BACK: Unreadable(),
     Fault.CUT_SHORT: refused(Reason.PASSAGE_ABORTED),
-} | dict.fromkeys(GNSS_FAULTS, Unharmed())
+    **{fault: Unharmed() for fault in GNSS_FAULTS},
+}
 WITH_POSITIONS = BY_DEAD_RECKONING | {
     Fault.ALL_WHEELS_SLOW: Flagged(DOUBTFUL),
     Fault.GNSS_GAP: Unharmed(POOR),

@@ -93,7 +93,7 @@ def test_positions_of_garbage_have_an_answer(field, value, start, every, adds):
 @given(values=st.lists(st.tuples(numbers, numbers, numbers, numbers, numbers), max_size=30))
 def test_a_receiver_of_nothing_but_garbage_has_an_answer(values):
     columns = np.array(values, dtype=np.float64).reshape(-1, 5).T
-    answer(replace(TRACE, gnss=GnssTrack(*columns[:4], speed_mps=columns[4])))
+    answer(replace(TRACE, gnss=GnssTrack(*columns)))
 
 
 @settings(max_examples=60, deadline=None)

@@ -1,6 +1,7 @@
 """Sensors against each other, on motion that is known."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -122,12 +123,14 @@ def test_a_sender_that_repeats_itself_for_a_moment_blames_nobody():
     rows = np.arange(TRACE.samples_count)
     rows[ENTRY + 500 : ENTRY + 520] = ENTRY + 500
     names = ("accel_x_mps2", "accel_y_mps2", "roll_rate_radps", "yaw_rate_radps", "steer_rad", "wheel_speed_mps")
-    assert doubted(replace(TRACE, **{name: getattr(TRACE, name)[rows] for name in names})) == set()
+    repeated: dict[str, Any] = {name: getattr(TRACE, name)[rows] for name in names}
+    assert doubted(replace(TRACE, **repeated)) == set()
 
 
 @pytest.mark.parametrize("name", ["accel_y_mps2", "roll_rate_radps", "steer_rad"])
 def test_a_channel_that_is_not_there_is_not_called_faulty(name):
-    without = replace(TRACE, **{name: np.zeros(TRACE.samples_count)}, absent=(name,))
+    silent: dict[str, Any] = {name: np.zeros(TRACE.samples_count)}
+    without = replace(TRACE, **silent, absent=(name,))
     assert doubted(without) == set()
 
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.vehicle_client.synthetic import drive_over, road, s_turn
+from tests.vehicle_client.synthetic import clock_s, drive_over, road, s_turn
 from vehicle_client.mapmatch.alignment import (
     CANDIDATES_COUNT,
     alignments,
@@ -72,13 +72,13 @@ def test_a_bend_says_better_than_a_straight_where_the_car_is():
 def test_a_drive_that_is_no_number_is_none(broken):
     speed = np.full(500, 10.0)
     speed[100] = broken
-    assert metred_drive(driven_line(speed, np.zeros(500)), np.arange(500) * 0.01) is None
+    assert metred_drive(driven_line(speed, np.zeros(500)), clock_s(500)) is None
 
 
 def test_a_height_that_is_no_number_is_left_out():
     climb = np.zeros(500)
     climb[100] = np.nan
-    drive = metred_drive(driven_line(np.full(500, 10.0), np.zeros(500), None, climb), np.arange(500) * 0.01)
+    drive = metred_drive(driven_line(np.full(500, 10.0), np.zeros(500), None, climb), clock_s(500))
     assert drive is not None
     assert drive.height_m is None
 
@@ -86,7 +86,7 @@ def test_a_height_that_is_no_number_is_left_out():
 def test_a_standstill_of_any_length_is_no_distance():
     moving, still = np.full(300, 10.0), np.zeros(1000)
     line = driven_line(np.concatenate([moving, still, moving]), np.zeros(1600))
-    drive = metred_drive(line, np.arange(1600) * 0.01)
+    drive = metred_drive(line, clock_s(1600))
     assert drive is not None
     assert drive.length_m == pytest.approx(60.0, abs=0.2)
     assert np.isfinite(drive.speed_mps).all()

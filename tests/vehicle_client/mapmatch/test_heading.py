@@ -69,5 +69,6 @@ def test_on_a_straight_the_gain_is_unknown():
         trace.time_s, station, length_m=400.0, confidence_frac=1.0, position_std_m=1.0, method=MatchMethod.GNSS
     )
     result = heading_fit(driven_line(trace.wheel_speed_mps[:, 2], trace.yaw_rate_radps), trace.time_s, match, straight)
+    assert result is not None
     assert result.gain_error_std_ratio > 0.25
     assert not any(finding.doubtful for finding in heading_findings(result))
