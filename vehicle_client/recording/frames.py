@@ -25,6 +25,7 @@ class FrameSignal:
         bits: Where the number is.
         present: A multiplexed signal is there only in frames whose selectors hold one of these raw numbers.
         valid: It holds only where these fields have one of these raw numbers.
+        negative: The number is below zero where these fields have one of these raw numbers.
         invalid_raws: Raw numbers that mean there is none.
         active_raws: Of a flag, raw numbers that mean yes; any but zero if None.
     """
@@ -33,6 +34,7 @@ class FrameSignal:
     bits: BitField
     present: tuple[tuple[BitField, frozenset[int]], ...] = ()
     valid: tuple[tuple[BitField, frozenset[int]], ...] = ()
+    negative: tuple[tuple[BitField, frozenset[int]], ...] = ()
     invalid_raws: frozenset[int] = frozenset()
     active_raws: frozenset[int] | None = None
 
@@ -70,7 +72,8 @@ def values_of_frame(layout: FrameLayout, data: bytes) -> Iterator[tuple[SignalSo
     """
     for signal in layout.signals:
         raw = signal.bits.raw(data)
-        if raw is None or not all(bits.raw(data) in raws for bits, raws in signal.present):
+        unsigned = any(bits.raw(data) is None for bits, _ in signal.negative)
+        if raw is None or unsigned or not all(bits.raw(data) in raws for bits, raws in signal.present):
             continue
         known = raw not in signal.invalid_raws and all(bits.raw(data) in raws for bits, raws in signal.valid)
         if not known:
@@ -79,6 +82,8 @@ def values_of_frame(layout: FrameLayout, data: bytes) -> Iterator[tuple[SignalSo
             yield signal.source, float(raw != 0 if signal.active_raws is None else raw in signal.active_raws)
         else:
             value = signal.bits.value_of_raw(raw)
+            if any(bits.raw(data) in raws for bits, raws in signal.negative):
+                value = -value
             if signal.source.steering_table_rad:
                 value = float(signal.source.converted(np.array([value]))[0])
             else:
@@ -97,7 +102,7 @@ def values_of_frames(
         payloads: One frame a row. (n, bytes)
     """
     for signal in layout.signals:
-        fields = [signal.bits, *(bits for bits, _ in (*signal.present, *signal.valid))]
+        fields = [signal.bits, *(bits for bits, _ in (*signal.present, *signal.valid, *signal.negative))]
         if max(bits.bytes_count for bits in fields) > payloads.shape[1]:
             continue
         there = _all_among(signal.present, payloads)
@@ -107,7 +112,10 @@ def values_of_frames(
         if signal.is_flag:
             values = (raws != 0 if signal.active_raws is None else _among(raws, signal.active_raws)).astype(np.float64)
         else:
-            values = signal.source.converted(signal.bits.values_of_raws(raws))
+            values = signal.bits.values_of_raws(raws)
+            if signal.negative:
+                values = np.where(_all_among(signal.negative, part), -values, values)
+            values = signal.source.converted(values)
         yield signal.source, at_s, np.where(known & np.isfinite(values), values, np.nan)
 
 
@@ -126,11 +134,19 @@ def frames_of_values(layout: FrameLayout, values: Mapping[str, FloatArray]) -> P
         ours = values[signal.source.channel]
         known = np.isfinite(ours)
         theirs = signal.source.inverted(np.where(known, ours, 0.0))
+        for sign, negative_raws in signal.negative:
+            minus, plus = min(negative_raws), _other_than(negative_raws)
+            sign.put_raws(payloads, np.where(theirs < 0.0, minus, plus).astype(np.uint64))
+            theirs = np.abs(theirs)
         raws = signal.bits.raws_of_values(theirs)
         if signal.invalid_raws:
             raws = np.where(known, raws, np.uint64(max(signal.invalid_raws)))
         signal.bits.put_raws(payloads, raws)
     return payloads
+
+
+def _other_than(raws: frozenset[int]) -> int:
+    return next(raw for raw in range(len(raws) + 1) if raw not in raws)
 
 
 def _all_among(conditions: tuple[tuple[BitField, frozenset[int]], ...], payloads: PayloadArray) -> BoolArray:

@@ -79,12 +79,15 @@ OPTIONAL_CHANNELS = ("roll_rate_radps",)
 
 _FILE_KEYS = ("dbc", "time_column", "vehicle", "bus", "j1939", "rolling_radius_m", *TABLES)
 _SOURCE_KEYS = ("message", "signal", "column", "unit", "gain", "offset", "delay_s", "bus", "invalid", "valid_when")
+_SIGNED_KEYS = ("negative_when",)
 _STEER_KEYS = ("steering_ratio", "steering_table_deg")
 
 
 @dataclass(frozen=True, slots=True)
 class SignalSource:
     """Where one channel comes from, and how its numbers become ours: (value * gain + zero), then the steering table.
+
+    The value is what the DBC makes of the bits, less than zero where another signal is its sign and says so.
 
     Attributes:
         table: Name of the table that says so.
@@ -98,6 +101,8 @@ class SignalSource:
         invalid: Values that mean there is none.
         valid_signal: Signal of the same message that says whether this one holds; none if empty.
         valid_values: What it then says.
+        sign_signal: Signal of the same message that is this one's sign; none if empty.
+        negative_values: What it says where this one is below zero.
         active: Values of a flag that mean yes; any but zero if empty.
         steering_table_rad: Steering wheel and front wheels, pairs from right to left; none if empty.
     """
@@ -113,6 +118,8 @@ class SignalSource:
     invalid: tuple[Word, ...] = ()
     valid_signal: str = ""
     valid_values: tuple[Word, ...] = ()
+    sign_signal: str = ""
+    negative_values: tuple[Word, ...] = ()
     active: tuple[Word, ...] = ()
     steering_table_rad: tuple[tuple[float, float], ...] = ()
 
@@ -220,9 +227,13 @@ def checked_against(mapping: SignalMapping, signals_of: Mapping[str, Iterable[st
                 f"{place} message: {dbc} has no {source.message!r}{meant(source.message, signals_of)}{home}"
             )
         signals = list(signals_of[source.message])
-        for key, name in (("signal", source.signal), ("valid_when", source.valid_signal)):
+        for key, name in (
+            ("signal", source.signal),
+            ("valid_when", source.valid_signal),
+            ("negative_when", source.sign_signal),
+        ):
             if name and name not in signals:
-                elsewhere = "" if key == "valid_when" else _elsewhere(name, source.message, signals_of)
+                elsewhere = _elsewhere(name, source.message, signals_of) if key == "signal" else ""
                 raise ConfigurationError(
                     f"{place} {key}: {source.message} of {dbc} has no {name!r}{meant(name, signals)}{elsewhere}"
                 )
@@ -256,7 +267,7 @@ def _source(name: str, file: Mapping[str, Any], *, place: str) -> SignalSource:
     if not isinstance(table, Mapping):
         raise ConfigurationError(f"{place} must be a table")
     is_flag = channel in STABILITY_CHANNELS
-    keys = (*_SOURCE_KEYS, *(_STEER_KEYS if name == "steer" else ()), *(("active",) if is_flag else ()))
+    keys = (*_SOURCE_KEYS, *(_STEER_KEYS if name == "steer" else ()), *(("active",) if is_flag else _SIGNED_KEYS))
     _check_keys(table, keys, place=place)
     needed = ("column",) if "time_column" in file else ("message", "signal")
     for key in (*needed, *(() if is_flag else ("unit",))):
@@ -270,7 +281,8 @@ def _source(name: str, file: Mapping[str, Any], *, place: str) -> SignalSource:
     gain = _number(table, "gain", 1.0, place=place)
     if gain == 0.0:
         raise ConfigurationError(f"{place} gain: it must not be zero")
-    valid_signal, valid_values = _validity(table, place=place)
+    valid_signal, valid_values = _condition(table, "valid_when", place=place)
+    sign_signal, negative_values = _condition(table, "negative_when", place=place)
     return SignalSource(
         table=name,
         channel=channel,
@@ -283,6 +295,8 @@ def _source(name: str, file: Mapping[str, Any], *, place: str) -> SignalSource:
         invalid=_words(table, "invalid", place=place),
         valid_signal=valid_signal,
         valid_values=valid_values,
+        sign_signal=sign_signal,
+        negative_values=negative_values,
         active=_words(table, "active", place=place),
         steering_table_rad=table_rad,
     )
@@ -324,13 +338,17 @@ def _steering_table(pairs: Any, *, place: str) -> tuple[tuple[float, float], ...
     return tuple(table)
 
 
-def _validity(table: Mapping[str, Any], *, place: str) -> tuple[str, tuple[Word, ...]]:
-    said = table.get("valid_when")
+def _condition(table: Mapping[str, Any], key: str, *, place: str) -> tuple[str, tuple[Word, ...]]:
+    """Return which other signal must say what; an empty name if none."""
+    said = table.get(key)
     if said is None:
         return "", ()
     if not isinstance(said, Mapping) or set(said) != {"signal", "is"} or not isinstance(said["signal"], str):
-        raise ConfigurationError(f'{place}: valid_when must be like {{ signal = "YawRateValid", is = [1] }}')
-    return said["signal"], _words(said, "is", place=place)
+        raise ConfigurationError(f'{place}: {key} must be like {{ signal = "YawRateState", is = [1] }}')
+    words = _words(said, "is", place=place)
+    if not words:
+        raise ConfigurationError(f"{place} {key}: is must hold one value at least")
+    return said["signal"], words
 
 
 def _words(table: Mapping[str, Any], key: str, *, place: str) -> tuple[Word, ...]:

@@ -43,7 +43,12 @@ def series_of_columns(columns: Mapping[str, FloatArray], mapping: SignalMapping,
         where = f"{mapping.place} [{source.table}]"
         theirs = _column(columns, source.signal, place=f"{where} column", table=place)
         there = known & np.isfinite(theirs)
-        values = _values(source, theirs, place=where)
+        below = np.zeros(len(theirs), dtype=bool)
+        if source.sign_signal:
+            sign = _column(columns, source.sign_signal, place=f"{where} negative_when", table=place)
+            below = _among(sign, source.negative_values, place=f"{where} negative_when")
+            there &= np.isfinite(sign)
+        values = _values(source, theirs, below=below, place=where)
         if source.valid_signal:
             told = _column(columns, source.valid_signal, place=f"{where} valid_when", table=place)
             values = np.where(_among(told, source.valid_values, place=f"{where} valid_when"), values, np.nan)
@@ -51,12 +56,13 @@ def series_of_columns(columns: Mapping[str, FloatArray], mapping: SignalMapping,
     return series
 
 
-def _values(source: SignalSource, theirs: FloatArray, *, place: str) -> FloatArray:
+def _values(source: SignalSource, theirs: FloatArray, *, below: BoolArray, place: str) -> FloatArray:
+    """Return our values; NaN where the car does not know, `below` where another column says the sign is minus."""
     holds = ~_among(theirs, source.invalid, place=f"{place} invalid")
     if source.channel in STABILITY_CHANNELS:
         active = _among(theirs, source.active, place=f"{place} active") if source.active else theirs != 0.0
         return np.where(holds, active, np.nan)
-    return np.where(holds, source.converted(theirs), np.nan)
+    return np.where(holds, source.converted(np.where(below, -theirs, theirs)), np.nan)
 
 
 def _column(columns: Mapping[str, FloatArray], name: str, *, place: str, table: str) -> FloatArray:

@@ -69,6 +69,36 @@ def test_a_multiplexed_signal_is_there_when_its_selector_says_so():
     assert (time_s.tolist(), values.tolist()) == ([1.0], pytest.approx([10.0]))
 
 
+SIGNED = FrameLayout(
+    "M",
+    1,
+    extended=False,
+    bytes_count=3,
+    signals=(
+        FrameSignal(
+            SignalSource("steer", "steer_rad", "M", "Steer", gain=0.5, zero_value=1.0),
+            BitField(0, 16, scale=0.1),
+            negative=((BitField(16, 1), frozenset({1})),),
+            invalid_raws=frozenset({0xFFFF}),
+        ),
+    ),
+)
+
+
+def test_a_sign_that_is_a_signal_of_its_own_comes_before_gain_and_offset():
+    frames = [b"\x64\x00\x00", b"\x64\x00\x01", b"\xff\xff\x01"]
+    alone = [value for data in frames for _, value in values_of_frame(SIGNED, data)]
+    assert alone == pytest.approx([6.0, -4.0, math.nan], nan_ok=True)
+    payloads = np.array([list(data) for data in frames], dtype=np.uint8)
+    ((_, _, together),) = values_of_frames(SIGNED, np.arange(3.0), payloads)
+    assert together == pytest.approx(alone, nan_ok=True)
+    assert frames_of_values(SIGNED, {"steer_rad": together}).tolist()[:2] == payloads.tolist()[:2]
+
+
+def test_a_frame_that_is_cut_off_before_the_sign_says_nothing():
+    assert list(values_of_frame(SIGNED, b"\x64\x00")) == []
+
+
 @given(st.lists(st.binary(min_size=6, max_size=6), min_size=1, max_size=6))
 def test_many_frames_say_what_each_says_alone(frames):
     payloads = np.array([list(data) for data in frames], dtype=np.uint8)

@@ -51,6 +51,15 @@ def test_a_column_beside_it_may_say_whether_a_value_holds():
     assert np.isnan(series["yaw_rate_radps"].values).sum() == 50
 
 
+def test_a_column_beside_it_may_be_its_sign():
+    table = columns()
+    signed, right = table["steer"], np.where(table["steer"] < 0.0, 1.0, 0.0)
+    table = table | {"steer": np.abs(signed), "right": right}
+    more = 'negative_when = { signal = "right", is = [1] }'
+    series = series_of_columns(table, mapping(steer=more), place="x.csv")
+    assert series["steer_rad"].values == pytest.approx(np.radians(signed))
+
+
 def test_a_flag_may_have_values_of_its_own():
     series = series_of_columns(columns(), mapping(esc="active = [1]"), place="x.csv")
     assert not series["esc_active"].values.any()

@@ -174,15 +174,19 @@ def _frame_signal(source: SignalSource, signals: Mapping[str, Any], *, place: st
         raise ConfigurationError(
             f"{place} invalid: {source.signal} has a sign, so that {ALL_BITS_SET} is a common value; give the number"
         )
-    valid = []
-    if source.valid_signal:
-        other = signals[source.valid_signal]
-        valid = [(bit_field_of(other), _raws(source.valid_values, other, place=f"{place} valid_when"))]
+    conditions = {}
+    for key, name, words in (
+        ("valid_when", source.valid_signal, source.valid_values),
+        ("negative_when", source.sign_signal, source.negative_values),
+    ):
+        other = signals.get(name)
+        conditions[key] = () if other is None else ((bit_field_of(other), _raws(words, other, place=f"{place} {key}")),)
     return FrameSignal(
         source=source,
         bits=bits,
         present=tuple(_selectors(signal, signals)),
-        valid=tuple(valid),
+        valid=conditions["valid_when"],
+        negative=conditions["negative_when"],
         invalid_raws=_raws(source.invalid, signal, place=f"{place} invalid"),
         active_raws=_raws(source.active, signal, place=f"{place} active") if source.active else None,
     )
