@@ -59,8 +59,8 @@ _ROLL_RADPS = 0.2
 _CLEARLY = 0.2
 _WHEEL_RATIO = (0.9, 1.1)
 _MOVING_MPS = 3.0
-
-
+_TURNING = ("yaw_rate_radps", "accel_y_mps2", "steer_rad")
+_SIGN_HINT = "has lost its sign; where that is a signal of its own, negative_when says which"
 ROLL = "roll rate against change of lateral acceleration"
 
 
@@ -289,7 +289,10 @@ def _stranger_hints(
     of = blocks.columns
     speed = blocks.speed_mps / reading.wheels_gain
     lateral, steering, forward = (relations.get(name) for name in (LATERAL, STEERING, FORWARD))
-    if lateral and steering:
+    signless = [channel for channel in _TURNING if _sign_is_lost(channel, of)]
+    for channel in signless:
+        hints[channel].append(_SIGN_HINT)
+    if lateral and steering and not signless:
         weak = {
             channel
             for channel, relation in (("accel_y_mps2", lateral), ("steer_rad", steering))
@@ -305,6 +308,22 @@ def _stranger_hints(
     changes = float(np.std(np.mean([blocks.slopes[name] for name in WHEEL_COLUMNS], axis=0))) / reading.wheels_gain
     if forward and changes > _SPEED_CHANGES_MPS2 and abs(forward.correlation_ratio) < _STRANGE:
         hints["accel_x_mps2"].append("does not go with the change of speed; is this the right signal?")
+
+
+def _sign_is_lost(channel: str, columns: Mapping[str, FloatArray]) -> bool:
+    """Return whether a channel shows both turns as one, and is else what another channel shows to both sides."""
+    values = columns[channel]
+    if (values > 0.0).any() and (values < 0.0).any():
+        return False
+    for other in _TURNING:
+        turns = columns[other]
+        if min(float(turns.max()), -float(turns.min())) < float(np.std(turns)) / 2.0:
+            continue
+        signed = relation_between("", values, turns, tolerance_ratio=1.0)
+        sizes = relation_between("", np.abs(values), np.abs(turns), tolerance_ratio=1.0)
+        if abs(sizes.correlation_ratio) > _FOLLOWS > abs(signed.correlation_ratio):
+            return True
+    return False
 
 
 def _accelerations_exchanged(blocks: Blocks, relations: Mapping[str, Relation]) -> bool:

@@ -117,6 +117,15 @@ def test_a_channel_that_is_another_signal_is_named():
     assert "another axis" in found["yaw_rate_radps"]
 
 
+@pytest.mark.parametrize("name", DRIVES)
+@pytest.mark.parametrize("channel", ["yaw_rate_radps", "steer_rad", "accel_y_mps2"])
+def test_a_channel_without_its_sign_is_named(name, channel):
+    trace = DRIVES[name]
+    found = off(replace(trace, **{channel: np.abs(getattr(trace, channel))}))
+    assert set(found) == {channel}
+    assert "negative_when" in found[channel]
+
+
 def test_two_misreadings_at_once_are_both_named():
     trace = DRIVES["without positions"]
     found = off(replace(trace, yaw_rate_radps=-DEG * trace.yaw_rate_radps, wheel_speed_mps=3.6 * trace.wheel_speed_mps))
