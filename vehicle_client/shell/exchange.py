@@ -4,7 +4,7 @@ A state machine without sockets and without a clock: time is an argument, frames
 it (`vehicle_client.shell.conversation`) carries the frames::
 
     begin() -> ARRIVING --map and advisory, or tries spent--> DRIVING --report()--> REPORTING --receipt--> ENDED
-                                                                 \--withhold()----------------------------/
+                   ^-----------------renew()-------------------/ \--withhold()----------------------------/
 
 Three promises hold whatever the air does: at most `VEHICLE_FRAME_BUDGET` frames leave in one passage, retransmissions
 included; a receipt that accepts the passage ends the exchange; what comes twice, late, spoiled or for somebody else
@@ -195,7 +195,8 @@ class Exchange:
         self._patience = patience if patience is not None else Patience()
         self._budget_count = frame_budget_count
         self._stage = Stage.NEW
-        self._advisory: Advisory | None = None
+        self._notice: AdvisoryNotice | None = None
+        self._advice_due = True
         self._tables: tuple[str, ...] | None = None
         self._passage: Passage | None = None
         self._left_at_s = 0.0
@@ -228,7 +229,12 @@ class Exchange:
     @property
     def advisory(self) -> Advisory | None:
         """The advice, once it came."""
-        return self._advisory
+        return None if self._notice is None else self._notice.advisory
+
+    @property
+    def notice(self) -> AdvisoryNotice | None:
+        """What brought the advice; another object whenever the unit gave it anew."""
+        return self._notice
 
     @property
     def frames_sent_count(self) -> int:
@@ -242,6 +248,22 @@ class Exchange:
             raise ValueError(message)
         self._stage = Stage.ARRIVING
         return self._announce(now_s)
+
+    def renew(self, *, now_s: float) -> tuple[bytes, ...]:
+        """Announce the vehicle again for fresh advice, unless its announcements or the budget are spent."""
+        if self._stage is not Stage.DRIVING or self._arrival_tries_count >= self._patience.arrival_tries_count:
+            return ()
+        self._stage = Stage.ARRIVING
+        self._advice_due = True
+        return self._announce(now_s)
+
+    def reserve(self) -> int:
+        """Return how many frames of the budget a report may have used when it ends, and hold it to that.
+
+        Written down before the first of them leaves, it keeps the budget also for a vehicle that is switched off.
+        """
+        self._budget_count = min(self._budget_count, self._sent_count + self._patience.report_tries_count)
+        return self._budget_count
 
     def report(
         self, summary: KinematicSummary, *, map_version: str, left_at_s: float, now_s: float
@@ -318,7 +340,7 @@ class Exchange:
             ending=self._ending if self._ending is not None else Ending.UNANSWERED,
             outcome=self._outcome,
             withheld=self._withheld,
-            advisory=self._advisory,
+            advisory=self.advisory,
             map_version="" if self._section is None else self._section.version,
             frames_sent_count=self._sent_count,
             frames_received_count=self._received_count,
@@ -354,13 +376,16 @@ class Exchange:
     def _take_advisory(self, notice: AdvisoryNotice) -> bool:
         if notice.section_id != self._section_id or self._stage not in {Stage.ARRIVING, Stage.DRIVING}:
             return False
-        repeated = notice.advisory == self._advisory
-        self._advisory = notice.advisory
+        if notice == self._notice and (notice.issued_unix_s > 0 or not self._advice_due):
+            # Late or played again: it must not hold longer than it was given for.
+            return False
+        self._notice = notice
+        self._advice_due = False
         if self._section is not None and self._section.version != notice.map_version and self._stage is Stage.ARRIVING:
             # The road was mapped anew since the vehicle last came by; the next announcement asks for that map.
             self._section = None
         self._drive_when_complete()
-        return not repeated
+        return True
 
     def _take_receipt(self, receipt: Receipt, now_s: float) -> bool:
         outcome = receipt.outcome
@@ -414,7 +439,7 @@ class Exchange:
         return frames
 
     def _drive_when_complete(self) -> None:
-        if self._stage is Stage.ARRIVING and self._section is not None and self._advisory is not None:
+        if self._stage is Stage.ARRIVING and self._section is not None and not self._advice_due:
             self._drive()
 
     def _drive(self) -> None:

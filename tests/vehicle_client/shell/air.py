@@ -95,6 +95,7 @@ class Unit:
 
     codec: TokenCodec
     section: RoadSection = BEND
+    advice: Advisory = ADVICE
     outcomes: list[Outcome] = field(default_factory=lambda: [Accepted()])
     """Answers to one passage after the other; the last one stays."""
     frames_left_count: int = 8
@@ -113,7 +114,7 @@ class Unit:
         if isinstance(message, Arrival):
             if message.known_map_version != self.section.version:
                 replies.append(MapOffer(self.section, (TABLE_DIGEST,)))
-            replies.append(AdvisoryNotice(self.section.section_id, self.section.version, ADVICE, issued_unix_s=0))
+            replies.append(AdvisoryNotice(self.section.section_id, self.section.version, self.advice, issued_unix_s=0))
         if isinstance(message, Passage):
             outcome = self.stored.get(message.passage_id)
             if outcome is None:

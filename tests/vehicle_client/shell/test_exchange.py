@@ -410,3 +410,64 @@ def test_duplicates_and_delays_never_cost_a_passage(fates: list[Fate]):
 def test_two_lost_frames_never_cost_a_passage(lost: set[int]):
     record, _ = a_passage([LOST if i in lost else Fate.ARRIVES for i in range(13)])
     assert record.ending is Ending.ACCEPTED
+
+
+def driving(ether: Ether) -> Exchange:
+    """Return an exchange that knows its map and has had advice."""
+    exchange = an_exchange(ether, known=BEND)
+    exchange.begin(now_s=0.0)
+    hear(exchange, ether, AdvisoryNotice("bend", BEND.version, ADVICE, issued_unix_s=7), now_s=0.1)
+    assert exchange.stage is Stage.DRIVING
+    return exchange
+
+
+def test_advice_is_asked_for_anew_until_the_announcements_are_spent():
+    ether = Ether()
+    exchange = driving(ether)
+    for issued_s in (8, 9, 10):
+        (frame,) = exchange.renew(now_s=float(issued_s))
+        _, _, arrival = ether.cargo[frame]
+        assert isinstance(arrival, Arrival)
+        assert arrival.known_map_version == BEND.version
+        hear(exchange, ether, AdvisoryNotice("bend", BEND.version, ADVICE, issued_unix_s=issued_s), now_s=issued_s)
+        assert exchange.stage is Stage.DRIVING
+    assert not exchange.renew(now_s=20.0)
+    assert exchange.stage is Stage.DRIVING
+    assert exchange.report(SUMMARY, map_version=BEND.version, left_at_s=20.0, now_s=21.0)
+
+
+def test_advice_that_is_played_again_does_not_count_as_fresh():
+    ether = Ether()
+    exchange = driving(ether)
+    first = exchange.notice
+    exchange.renew(now_s=10.0)
+    hear(exchange, ether, AdvisoryNotice("bend", BEND.version, ADVICE, issued_unix_s=7), now_s=10.1)
+    assert exchange.notice is first
+    assert exchange.stage is Stage.ARRIVING
+
+
+def test_a_unit_without_a_clock_may_say_the_same_again_when_asked_and_only_then():
+    ether = Ether()
+    exchange = an_exchange(ether, known=BEND)
+    exchange.begin(now_s=0.0)
+    notices = [AdvisoryNotice("bend", BEND.version, ADVICE, issued_unix_s=0) for _ in range(3)]
+    hear(exchange, ether, notices[0], now_s=0.1)
+    hear(exchange, ether, notices[1], now_s=0.2)
+    assert exchange.notice is notices[0]
+    exchange.renew(now_s=10.0)
+    hear(exchange, ether, notices[2], now_s=10.1)
+    assert exchange.notice is notices[2]
+    assert exchange.stage is Stage.DRIVING
+
+
+@pytest.mark.parametrize("spent", range(VEHICLE_FRAME_BUDGET + 1))
+def test_what_was_reserved_is_never_exceeded(spent: int):
+    ether = Ether()
+    exchange = an_exchange(ether, spent=spent)
+    reserved = exchange.reserve()
+    assert reserved == min(VEHICLE_FRAME_BUDGET, spent + Patience().report_tries_count)
+    exchange.report(SUMMARY, map_version=BEND.version, left_at_s=0.0, now_s=0.0)
+    for now_s in range(0, 200, 10):
+        exchange.tick(now_s=float(now_s))
+    assert exchange.stage is Stage.ENDED
+    assert exchange.frames_sent_count == reserved

@@ -7,18 +7,19 @@ import contextlib
 import secrets
 from collections.abc import AsyncIterator, Callable, Coroutine
 from dataclasses import dataclass, replace
+from math import inf
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, TypeVar
 
 from roadgrip.errors import ConfigurationError
 from roadgrip.records import PASSAGE_ID_BYTES, KinematicSummary, Reason
-from vehicle_client.shell.conversation import Clock, arrive, converse, report
+from vehicle_client.shell.conversation import Clock, arrive, converse, report, send_all
 from vehicle_client.shell.exchange import Exchange, ExchangeRecord, FrameCodec, Stage
 from vehicle_client.shell.spool import Spool, SpooledSummary, SpoolError
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
-    from roadgrip.records import Advisory
+    from roadgrip.records import Advisory, AdvisoryNotice
     from roadgrip.section import RoadSection
     from vehicle_client.shell.uplink import UnitAddress, Uplink
 
@@ -136,7 +137,8 @@ class Attendance:
         self._exchange: Exchange | None = None
         self._verdict: asyncio.Future[Verdict] = asyncio.get_running_loop().create_future()
         self._seen_map = ""
-        self._seen_advice: Advisory | None = None
+        self._seen_notice: AdvisoryNotice | None = None
+        self._advice_ends_s = inf
         self.via = "none"
 
     @property
@@ -149,7 +151,7 @@ class Attendance:
     @property
     def advisory(self) -> Advisory | None:
         """The advice that came."""
-        return self._seen_advice
+        return None if self._seen_notice is None else self._seen_notice.advisory
 
     def settle(self, verdict: Verdict) -> None:
         """Say what came of the pass; the first word counts."""
@@ -195,8 +197,7 @@ class Attendance:
         if exchange.section is None:
             self._surround.take_no_map(self.section_id)
         while not self._verdict.done() and exchange.stage is not Stage.ENDED:
-            until_s = clock.now_s() + LISTEN_S
-            await self._until_verdict(converse(exchange, uplink, clock, until_s=until_s, watch=self._look))
+            await self._until_verdict(self._listen(exchange, uplink))
         verdict = await self._verdict
         if isinstance(verdict, Nothing):
             _withhold(exchange, verdict)
@@ -208,9 +209,19 @@ class Attendance:
             await self._send(exchange, uplink, verdict)
         return exchange.record()
 
+    async def _listen(self, exchange: Exchange, uplink: Uplink) -> None:
+        """Listen for a stretch; advice that has run out is asked for again while its unit is in reach."""
+        clock = self._tools.clock
+        now_s = clock.now_s()
+        if now_s >= self._advice_ends_s and self._surround.address_of(self.section_id) is not None:
+            self._advice_ends_s = inf
+            await send_all(exchange.renew(now_s=now_s), uplink)
+        until_s = min(now_s + LISTEN_S, max(now_s + LOOK_S, self._advice_ends_s))
+        await converse(exchange, uplink, clock, until_s=until_s, watch=self._look)
+
     async def _send(self, exchange: Exchange, uplink: Uplink, verdict: Report) -> None:
         """Send a summary; it is in the spool first, so that a car switched off now still delivers it once."""
-        entry = self._entry(verdict, frames_spent_count=exchange.frames_sent_count)
+        entry = self._entry(verdict, frames_spent_count=exchange.reserve())
         try:
             await self._tools.work(self._tools.spool.keep, entry)
         except SpoolError:
@@ -254,13 +265,14 @@ class Attendance:
         exchange = self._exchange
         if exchange is None:
             return
-        section, advisory = exchange.section, exchange.advisory
+        section, notice = exchange.section, exchange.notice
         if section is not None and section.version != self._seen_map:
             self._seen_map = section.version
             self._surround.take_map(section)
-        if advisory is not None and advisory is not self._seen_advice:
-            self._seen_advice = advisory
-            self._surround.take_advice(self.section_id, advisory)
+        if notice is not None and notice is not self._seen_notice:
+            self._seen_notice = notice
+            self._advice_ends_s = self._tools.clock.now_s() + notice.advisory.valid_for_s
+            self._surround.take_advice(self.section_id, notice.advisory)
 
     async def _until_verdict(self, talk: Coroutine[None, None, None]) -> None:
         """Let a talk go on until it ends or the car knows what came of the pass."""
@@ -279,12 +291,17 @@ async def send_spooled(
 ) -> bool:
     """Send a summary that lies in the spool, and leave there what the answer makes of it, also when cancelled.
 
+    The frames that it may cost are written down before the first leaves: whoever is killed meanwhile has spent them.
+
     Returns:
         Whether it was there to be sent: False if somebody else is just sending it.
     """
     async with tools.delivering(entry.passage_id) as is_there:
         if not is_there:
             return False
+        reserved = replace(entry, frames_spent_count=exchange.reserve())
+        if reserved != entry:
+            await tools.work(tools.spool.keep, reserved)
         try:
             await report(exchange, uplink, tools.clock, entry.summary, map_version=map_version, left_at_s=left_at_s)
         finally:

@@ -4,7 +4,7 @@ import errno
 import os
 from collections.abc import AsyncIterator, Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import pytest
@@ -14,7 +14,7 @@ from roadgrip.records import Advisory, Passage, Reason, Rejected
 from roadgrip.section import RoadSection
 from tests.vehicle_client.shell.air import ADVICE, BEND, SUMMARY, Ether, TokenCodec, Unit
 from tests.vehicle_client.shell.cars import WireToUnit
-from vehicle_client.shell.exchange import Ending, FrameCodec
+from vehicle_client.shell.exchange import Ending, FrameCodec, Patience
 from vehicle_client.shell.live.attendance import Attendance, Nothing, Report, Tools
 from vehicle_client.shell.spool import BootClock, Spool, SpoolError
 from vehicle_client.shell.uplink import UnitAddress, Uplink
@@ -245,5 +245,51 @@ def test_a_refusal_for_good_leaves_nothing_behind(tmp_path: Path):
         record = await running
         assert record.ending is Ending.REJECTED
         assert len(scene.spool) == 0
+
+    asyncio.run(story())
+
+
+def test_advice_that_has_run_out_is_asked_for_again_and_shown(tmp_path: Path):
+    async def story() -> None:
+        scene = Scene(tmp_path)
+        scene.unit.advice = replace(ADVICE, valid_for_s=0.05)
+        one = scene.attendance()
+        running = asyncio.create_task(one.run())
+        await until(lambda: len(scene.around.advice) >= 2)
+        one.settle(scene.report())
+        assert (await running).ending is Ending.ACCEPTED
+
+    asyncio.run(story())
+
+
+def test_advice_is_not_asked_for_again_where_no_unit_is_in_reach(tmp_path: Path):
+    async def story() -> None:
+        scene = Scene(tmp_path)
+        scene.unit.advice = replace(ADVICE, valid_for_s=0.05)
+        one = scene.attendance()
+        running = asyncio.create_task(one.run())
+        await until(lambda: scene.around.advice)
+        scene.around.in_reach = False
+        await asyncio.sleep(0.7)
+        assert len(scene.around.wire.sent) == 1
+        one.settle(Nothing(None))
+        await running
+
+    asyncio.run(story())
+
+
+def test_frames_are_written_down_as_spent_before_the_first_leaves(tmp_path: Path):
+    async def story() -> None:
+        scene = Scene(tmp_path, lost=(Passage,))
+        one = scene.attendance()
+        running = asyncio.create_task(one.run())
+        await until(lambda: scene.around.advice)
+        one.settle(scene.report())
+        await until(lambda: len(scene.around.wire.sent) == 2)
+        (entry,) = scene.spool.waiting()
+        assert entry.frames_spent_count == 1 + Patience().report_tries_count
+        running.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await running
 
     asyncio.run(story())
