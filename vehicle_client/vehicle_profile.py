@@ -14,20 +14,21 @@ lowpass = "hamming_fir"  # or "butterworth"
 
 from __future__ import annotations
 
+import json
 import math
 import tomllib
 from dataclasses import MISSING, dataclass, fields
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 from roadgrip.errors import ConfigurationError
 from vehicle_client.estimation.filters import LowPass
+from vehicle_client.estimation.mounting import mounting_rotation
 from vehicle_client.estimation.observer import XC90_PARAMETERS, ObserverParameters
 from vehicle_client.estimation.vehicle_geometry import XC90, VehicleGeometry
 
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
 _Record = TypeVar("_Record", VehicleGeometry, ObserverParameters)
+_COSINE_MIN_RATIO = 0.5
+"""A sensor that lies on its side does not feel what is asked of it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +59,7 @@ def profile_of_toml(text: str, *, place: str) -> VehicleProfile:
 
     Raises:
         ConfigurationError: It is no TOML, a key is unknown or missing, a value is no finite number or no known
-            filter, or a length cannot be.
+            filter, a length or a constant cannot be, or the inertial sensor lies on its side.
     """
     try:
         table = tomllib.loads(text)
@@ -67,28 +68,43 @@ def profile_of_toml(text: str, *, place: str) -> VehicleProfile:
     unknown = sorted(set(table) - {"name", "geometry", "observer"})
     if unknown:
         raise ConfigurationError(f"{place}: unknown {', '.join(unknown)}; a vehicle has name, [geometry], [observer]")
+    name = table.get("name", place)
+    if not isinstance(name, str):
+        raise ConfigurationError(f"{place}: name is {name!r}, not a text")
     profile = VehicleProfile(
-        name=str(table.get("name", place)),
+        name=name,
         geometry=_record_of(VehicleGeometry, table.get("geometry", {}), place=f"{place} [geometry]"),
         parameters=_record_of(ObserverParameters, table.get("observer", {}), place=f"{place} [observer]"),
     )
     geometry = profile.geometry
     if not (0.0 < geometry.front_axle_m < geometry.wheelbase_m and geometry.track_m > 0.0):
         raise ConfigurationError(f"{place}: the front axle must lie within the wheelbase, and the track be positive")
+    upright = abs(mounting_rotation(geometry).diagonal())
+    if upright.min() < _COSINE_MIN_RATIO:
+        raise ConfigurationError(f"{place}: the inertial sensor lies on its side; exchange its axes in the mapping")
+    for field in fields(ObserverParameters):
+        value = getattr(profile.parameters, field.name)
+        divides = field.name.startswith("sigma_") or field.name == "roll_crossover_hz"
+        if field.name != "lowpass" and (value < 0.0 or (divides and value == 0.0)):
+            raise ConfigurationError(
+                f"{place}: {field.name} is {value}, but must be {'' if divides else 'zero or '}positive"
+            )
     return profile
 
 
 def toml_of_profile(profile: VehicleProfile) -> str:
     """Return the file that `profile_of_toml` reads back as the same vehicle."""
-    name = profile.name.replace("\\", "\\\\").replace('"', '\\"')
-    lines = [f'name = "{name}"']
+    # Texts of JSON are texts of TOML, but for the one sign that only TOML wants escaped.
+    lines = [f"name = {json.dumps(profile.name, ensure_ascii=False)}".replace("\x7f", "\\u007f")]
     for title, record in (("geometry", profile.geometry), ("observer", profile.parameters)):
         lines += ["", f"[{title}]"]
         lines += [f"{field.name} = {_written(getattr(record, field.name))}" for field in fields(record)]
     return "\n".join(lines) + "\n"
 
 
-def _record_of(kind: type[_Record], table: Mapping[str, Any], *, place: str) -> _Record:
+def _record_of(kind: type[_Record], table: object, *, place: str) -> _Record:
+    if not isinstance(table, dict):
+        raise ConfigurationError(f"{place} is {table!r}, not a table")
     names = {field.name for field in fields(kind)}
     unknown = sorted(set(table) - names)
     if unknown:

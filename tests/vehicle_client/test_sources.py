@@ -12,7 +12,9 @@ from tests.vehicle_client.synthetic import clock_s, drive_over, fixes_of, road, 
 from vehicle_client.estimation.trace import Trace
 from vehicle_client.estimation.vehicle_geometry import VehicleGeometry
 from vehicle_client.recording.channels import CHANNELS
+from vehicle_client.recording.csv_table import columns_of_csv
 from vehicle_client.recording.foreign import Channel, ColumnMapping
+from vehicle_client.recording.own_columns import GNSS_ACCURACY_M, trace_of_columns
 from vehicle_client.recording.resampling import repeated_count, trace_of_samples
 from vehicle_client.shell.sources import read_recording, read_trace_csv, write_trace_csv
 
@@ -72,6 +74,9 @@ def test_columns_in_any_order_and_strangers_are_fine(tmp_path):
         ("time_s,a\n0\n", "line 2: 1 cells under 2 columns"),
         ("time_s,a\n0,fast\n", "line 2"),
         ("", "no column time_s"),
+        ("time_s,a\n0,1,2\n", "line 2: 3 cells under 2 columns"),
+        ("time_s,a,a\n0,1,2\n", "more than one column a"),
+        ("time_s,a\n0,1\n0," + 200_000 * "9" + "\n", "line 3: field larger"),
         (",".join(["time_s", *CHANNELS]) + "\n", "at least two samples"),
     ],
 )
@@ -79,6 +84,36 @@ def test_what_is_no_trace_is_refused_with_the_place(tmp_path, text, message):
     (tmp_path / "x.csv").write_text(text)
     with pytest.raises(TraceError, match=message):
         read_trace_csv(tmp_path / "x.csv")
+
+
+def test_what_spreadsheets_add_is_passed_over():
+    # A mark before the first name, line ends of any make, empty lines.
+    for text in ("\ufefftime_s,a\r\n0,1\r\n\r\n", "time_s,a\n0,1\n\n\n", "time_s,a\r0,1\r"):
+        columns = columns_of_csv(text.encode(), place="x.csv")
+        assert {name: values.tolist() for name, values in columns.items()} == {"time_s": [0.0], "a": [1.0]}
+
+
+def test_a_fix_may_lack_its_time_and_its_accuracy():
+    time, values = rows(20)
+    columns = {"time_s": time, **dict(zip(CHANNELS, values.T, strict=True))}
+    nothing = np.full(20, np.nan)
+    columns |= {name: nothing.copy() for name in ("lat_deg", "lon_deg", "gnss_time_s", "gnss_accuracy_m")}
+    columns["lat_deg"][[3, 8, 12]] = 60.0
+    columns["lon_deg"][[3, 8]] = 10.0
+    columns["gnss_time_s"][3], columns["gnss_accuracy_m"][3] = 0.028, 1.0
+    gnss = trace_of_columns(columns, place="x").gnss
+    assert gnss is not None
+    assert gnss.time_s.tolist() == [0.028, 0.08]
+    assert gnss.accuracy_m.tolist() == [1.0, GNSS_ACCURACY_M]
+
+
+def test_an_empty_cell_of_the_interventions_is_none():
+    time, values = rows(20)
+    columns = {"time_s": time, **dict(zip(CHANNELS, values.T, strict=True))}
+    columns["stability_active"] = np.where(np.arange(20) < 5, 1.0, np.nan)
+    active = trace_of_columns(columns, place="x").stability_active
+    assert active is not None
+    assert active.sum() == 5
 
 
 def test_bytes_that_are_no_text_are_refused(tmp_path):
@@ -106,12 +141,48 @@ def test_a_silent_sensor_makes_missing_samples():
     assert np.flatnonzero(~trace.valid).tolist() == list(range(100, 110))
 
 
-@pytest.mark.parametrize("rate_hz", [25.0, 50.0, 104.0, 200.0])
+@pytest.mark.parametrize("rate_hz", [25.0, 50.0, 96.5, 99.5, 100.5, 104.0, 200.0])
 def test_other_rates_are_resampled(rate_hz):
     time, values = rows(int(5 * rate_hz), rate_hz=rate_hz)
     trace = trace_of_samples(time, values)
     assert trace.valid.all()
+    assert trace.time_s == pytest.approx(clock_s(trace.samples_count), abs=1e-9)
+    assert trace.time_s[-1] == pytest.approx(time[-1], abs=0.011)
     assert np.abs(trace.steer_rad - np.sin(trace.time_s + 4)).max() < 1e-3
+
+
+def test_a_recorder_whose_clock_drifts_a_little_is_taken_at_its_word():
+    time, values = rows(6000)
+    trace = trace_of_samples(time * (1.0 + 2e-4), values)
+    assert np.array_equal(trace.accel_x_mps2, values[:, 0])
+    assert trace.time_s[-1] == time[-1] * (1.0 + 2e-4)
+
+
+def test_an_intervention_is_set_at_the_samples_nearest_to_its_row():
+    time, values = rows(40, rate_hz=10.0)
+    trace = trace_of_samples(time, values, stability_active=np.arange(40) == 7)
+    assert trace.stability_active is not None
+    assert np.abs(trace.time_s[trace.stability_active] - 0.7).max() < 0.0501
+    assert 9 <= trace.stability_active.sum() <= 11
+
+
+def test_a_sample_beside_a_gap_is_there_and_the_next_is_not():
+    # 20 rows a second: neighbours may lie 125 ms apart, and a lone row stands for its own time.
+    time, values = rows(100, rate_hz=20.0)
+    gap = (time > 1.9) & (time < 2.04)
+    trace = trace_of_samples(time[~gap], values[~gap])
+    missing = trace.time_s[~trace.valid]
+    assert (missing.min(), missing.max()) == pytest.approx((1.91, 2.04), abs=1e-6)
+    nearer = (time > 1.9) & (time < 1.99)
+    assert trace_of_samples(time[~nearer], values[~nearer]).valid.all()
+
+
+def test_before_the_first_whole_row_and_after_the_last_nothing_is_known():
+    time, values = rows(100, rate_hz=50.0)
+    values[:5] = values[-5:] = np.nan
+    trace = trace_of_samples(time, values)
+    known = trace.time_s[trace.valid]
+    assert (known.min(), known.max()) == pytest.approx((0.1, 1.88), abs=1e-6)
 
 
 def test_jitter_is_no_gap():

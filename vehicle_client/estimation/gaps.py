@@ -69,7 +69,7 @@ def bridged(trace: Trace, valid: BoolArray) -> Trace:
         valid: Which samples to keep. (n,)
     """
     if valid.all():
-        return replace(trace, valid=valid) if not trace.valid.all() else trace
+        return replace(trace, valid=valid)
     at = np.arange(trace.samples_count, dtype=np.float64)
     known = at[valid]
 

@@ -113,7 +113,7 @@ def sensor_offsets(
         climb_rad: Grade of the road where the map starts, as an angle, uphill positive.
         wheelbase_m: Front to rear axle.
     """
-    if approach.sum() * SAMPLE_S < STRAIGHT_S_MIN or len(speed_mps) <= 30:
+    if approach.sum() * SAMPLE_S < STRAIGHT_S_MIN:
         return NO_OFFSETS
     fast = speed_mps > SPEED_MIN_MPS
     bend = np.abs(smoothed(yaw_rate_radps)) / np.maximum(speed_mps, SPEED_MIN_MPS)

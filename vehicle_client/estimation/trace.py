@@ -93,6 +93,10 @@ def check_trace(trace: Trace) -> None:
         TraceError: Lengths differ, samples are not 10 ms apart, or a valid sample is not finite.
     """
     n = trace.samples_count
+    for name, mask in (("valid", trace.valid), ("stability_active", trace.stability_active)):
+        if mask is not None and mask.shape != (n,):
+            message = f"{name} has shape {mask.shape}, the trace has {n} samples"
+            raise TraceError(message)
     columns = {
         "accel_x_mps2": trace.accel_x_mps2,
         "accel_y_mps2": trace.accel_y_mps2,
@@ -110,7 +114,8 @@ def check_trace(trace: Trace) -> None:
     if trace.wheel_speed_mps.shape != (n, 4) or not np.isfinite(trace.wheel_speed_mps[trace.valid]).all():
         message = f"wheel_speed_mps must be ({n}, 4) and finite in valid samples, is {trace.wheel_speed_mps.shape}"
         raise TraceError(message)
-    if n > 1 and np.abs(np.diff(trace.time_s) - SAMPLE_S).max() > SAMPLE_S / 10.0:
+    # Times that are not finite fail the comparison.
+    if n > 1 and not np.abs(np.diff(trace.time_s) - SAMPLE_S).max() <= SAMPLE_S / 10.0:
         message = "samples are not 10 ms apart; resample the recording first"
         raise TraceError(message)
 

@@ -21,7 +21,7 @@ _GZIP_MAGIC = b"\x1f\x8b"
 
 
 def columns_of_csv(data: bytes, *, place: str) -> dict[str, FloatArray]:
-    """Return the columns of a CSV file with one header row, gzipped or not; all arrays (n,).
+    """Return the columns of a CSV file with one header row, gzipped or not; all arrays (n,). Empty lines are skipped.
 
     Args:
         data: The file's bytes.
@@ -31,13 +31,21 @@ def columns_of_csv(data: bytes, *, place: str) -> dict[str, FloatArray]:
         TraceError: It is no such file; the message says which line.
     """
     try:
-        text = (gzip.decompress(data) if data.startswith(_GZIP_MAGIC) else data).decode()
+        text = (gzip.decompress(data) if data.startswith(_GZIP_MAGIC) else data).decode("utf-8-sig")
     except (UnicodeDecodeError, EOFError, OSError, zlib.error) as error:
         message = f"{place} is no CSV file: {error}"
         raise TraceError(message) from error
-    rows = csv.reader(io.StringIO(text))
-    names = [name.strip() for name in next(rows, [])]
-    table = _numbers(rows, width=len(names), place=place)
+    rows = csv.reader(io.StringIO(text, newline=""))
+    try:
+        names = [name.strip() for name in next(rows, [])]
+        table = _numbers(rows, width=len(names), place=place)
+    except csv.Error as error:
+        message = f"{place}, line {rows.line_num}: {error}"
+        raise TraceError(message) from error
+    repeated = sorted({name for name in names if names.count(name) > 1})
+    if repeated:
+        message = f"{place}: more than one column {', '.join(repeated)}"
+        raise TraceError(message)
     return {name: table[:, i] for i, name in enumerate(names)}
 
 
@@ -58,6 +66,8 @@ def _cells(values: FloatArray) -> list[str]:
 def _numbers(rows: Iterable[list[str]], *, width: int, place: str) -> FloatArray:
     numbers: list[list[float]] = []
     for line, row in enumerate(rows, start=2):
+        if not row:
+            continue
         if len(row) != width:
             message = f"{place}, line {line}: {len(row)} cells under {width} columns"
             raise TraceError(message)

@@ -100,10 +100,9 @@ def recording_of_columns(columns: Mapping[str, FloatArray], mapping: ColumnMappi
         raise TraceError(message)
     values = np.column_stack([rows.get(name, np.zeros_like(time)) for name in CHANNELS])
     trace = replace(trace_of_samples(time, values, quality=quality), absent=missing)
-    known = np.isfinite(time)
     return Recording(
-        trace=replace(trace, absent=missing),
-        reference={name: np.interp(trace.time_s, time[known], of[known]) for name, of in reference.items()},
+        trace=trace,
+        reference={name: np.interp(trace.time_s, time, of) for name, of in reference.items()},
         missing=missing,
         repeated_count=repeated_count(time),
     )

@@ -20,6 +20,9 @@ DURATION_LIMIT_S = 4.0 * 3600.0
 """A longer recording, or a clock that jumps further, is refused instead of filling the memory."""
 ON_GRID_S = SAMPLE_S / 20.0
 """A sample so near to a time of the grid is that time's."""
+CLOCK_DRIFT_RATIO = 1e-3
+"""Clocks of a car and its recorder differ by less; samples that come otherwise often than a hundred times a second are
+interpolated, since all that integrates counts on a hundred."""
 GAP_STEPS_COUNT = 2.5
 """Rows farther apart than so many usual steps leave a gap between them."""
 
@@ -34,7 +37,7 @@ def trace_of_samples(
 ) -> Trace:
     """Return a trace of samples that came at any times, at 100 a second, with a mask where nothing came.
 
-    Samples that lie on a 10 ms grid are kept as they are. Others are interpolated between neighbours that are no
+    Samples that come every 10 ms are kept as they are. Others are interpolated between neighbours that are no
     more than two and a half usual steps (and at least 25 ms) apart; in wider gaps samples are not valid. Of rows with
     one and the same time the last holds, see `repeated_count`.
 
@@ -55,14 +58,15 @@ def trace_of_samples(
         stability_active = None if stability_active is None else stability_active[last]
     whole: BoolArray = np.asarray(np.isfinite(values).all(axis=1))
     steps = np.diff(time_s)
-    if np.abs(steps - SAMPLE_S).max() <= ON_GRID_S:
+    late_s = abs(float(time_s[-1] - time_s[0]) - SAMPLE_S * len(steps))
+    if np.abs(steps - SAMPLE_S).max() <= ON_GRID_S and late_s <= ON_GRID_S + CLOCK_DRIFT_RATIO * SAMPLE_S * len(steps):
         time, resampled, valid = time_s, np.where(whole[:, None], values, 0.0), whole
         active = stability_active
     else:
         count = int(np.floor((time_s[-1] - time_s[0]) / SAMPLE_S + 1e-6)) + 1
         time = time_s[0] + SAMPLE_S * np.arange(count)
         resampled, valid = _resampled(time, time_s, values, whole)
-        nearest = np.clip(np.searchsorted(time_s, time), 0, len(time_s) - 1)
+        nearest = np.searchsorted((time_s[1:] + time_s[:-1]) / 2.0, time)
         active = None if stability_active is None else stability_active[nearest]
     trace = Trace(
         time_s=time,
