@@ -13,12 +13,12 @@ from vehicle_client.estimation.gaps import believable, bridged, longest_gap_s, m
 from vehicle_client.estimation.observer import XC90_PARAMETERS, ObserverParameters
 from vehicle_client.estimation.offsets import SensorOffsets, sensor_offsets
 from vehicle_client.estimation.plausibility import Sensor, findings
-from vehicle_client.estimation.signals import in_car_axes, kinematic_signals
+from vehicle_client.estimation.signals import in_car_axes, kinematic_signals, unmapped_velocity_y_mps
 from vehicle_client.estimation.summary import KinematicSignals, kinematic_summary
 from vehicle_client.estimation.vehicle_geometry import XC90, VehicleGeometry
 from vehicle_client.estimation.vertical import vertical_velocity_mps
 from vehicle_client.estimation.wheel_speed import encoder_speed_mps
-from vehicle_client.mapmatch.dead_reckoning import driven_line
+from vehicle_client.mapmatch.dead_reckoning import driven_line, with_course
 from vehicle_client.mapmatch.match import MatchMethod, SectionMatch
 from vehicle_client.mapmatch.placing import placed
 
@@ -87,7 +87,11 @@ def summarise_passage(
     trace = bridged(trace, valid)
     rough = _rough_speed_mps(trace, vehicle=vehicle, parameters=parameters)
     climbing = vertical_velocity_mps(trace.accel_x_mps2, rough, trace.yaw_rate_radps)
-    line = driven_line(rough, trace.yaw_rate_radps, vertical_velocity_mps=climbing)
+    line = with_course(
+        driven_line(rough, trace.yaw_rate_radps, vertical_velocity_mps=climbing),
+        speed_mps=rough,
+        velocity_y_mps=unmapped_velocity_y_mps(trace, vehicle=vehicle, parameters=parameters),
+    )
     placing = placed(trace.gnss, line, trace.time_s, section)
     match = placing.outcome
     if isinstance(match, Rejected):

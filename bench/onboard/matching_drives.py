@@ -14,11 +14,12 @@ from roadgrip.units import SAMPLE_S, BoolArray, FloatArray
 from training.random_roads import random_section
 from vehicle_client.estimation.filters import smoothed
 from vehicle_client.estimation.observer import XC90_PARAMETERS
+from vehicle_client.estimation.signals import unmapped_velocity_y_mps
 from vehicle_client.estimation.trace import Trace
 from vehicle_client.estimation.vehicle_geometry import XC90
 from vehicle_client.estimation.vertical import vertical_velocity_mps
 from vehicle_client.estimation.wheel_speed import encoder_speed_mps
-from vehicle_client.mapmatch.dead_reckoning import DrivenLine, driven_line
+from vehicle_client.mapmatch.dead_reckoning import DrivenLine, driven_line, with_course
 from vehicle_client.pipeline import summarise_passage
 from vehicle_client.simulator.amplitudes import AUTOMOTIVE
 from vehicle_client.simulator.map_error import map_as_surveyed
@@ -38,12 +39,14 @@ class Leg:
         speed_mps: From the encoders.
         yaw_rate_radps: As the gyro says.
         climb_mps: Vertical velocity from the forward accelerometer.
+        velocity_y_mps: Lateral velocity, estimated as on a level road.
         station_m: True, along the road driven; NaN where it is no part of that road.
     """
 
     speed_mps: FloatArray
     yaw_rate_radps: FloatArray
     climb_mps: FloatArray
+    velocity_y_mps: FloatArray
     station_m: FloatArray
 
     @cached_property
@@ -54,7 +57,8 @@ class Leg:
     @cached_property
     def line(self) -> DrivenLine:
         """It as a line, with heights."""
-        return driven_line(self.speed_mps, self.yaw_rate_radps, None, self.climb_mps)
+        line = driven_line(self.speed_mps, self.yaw_rate_radps, None, self.climb_mps)
+        return with_course(line, speed_mps=self.speed_mps, velocity_y_mps=self.velocity_y_mps)
 
     @cached_property
     def plane_line(self) -> DrivenLine:
@@ -63,7 +67,13 @@ class Leg:
 
     def where(self, kept: BoolArray) -> Leg:
         """Return a piece of it."""
-        return Leg(self.speed_mps[kept], self.yaw_rate_radps[kept], self.climb_mps[kept], self.station_m[kept])
+        return Leg(
+            self.speed_mps[kept],
+            self.yaw_rate_radps[kept],
+            self.climb_mps[kept],
+            self.velocity_y_mps[kept],
+            self.station_m[kept],
+        )
 
     def elsewhere(self) -> Leg:
         """Return it as a drive over a road that is not asked about."""
@@ -123,7 +133,11 @@ def leg_of(trace: Trace, station_m: FloatArray) -> Leg:
         parameters=XC90_PARAMETERS,
     )
     climb = vertical_velocity_mps(trace.accel_x_mps2, speed, trace.yaw_rate_radps)
-    return Leg(speed, trace.yaw_rate_radps, climb, station_m)
+    aside = unmapped_velocity_y_mps(trace, vehicle=XC90, parameters=XC90_PARAMETERS)
+    if aside is None:
+        message = "a simulated car has a lateral accelerometer"
+        raise ValueError(message)
+    return Leg(speed, trace.yaw_rate_radps, climb, aside, station_m)
 
 
 def joined(legs: Sequence[Leg]) -> Leg:
@@ -132,6 +146,7 @@ def joined(legs: Sequence[Leg]) -> Leg:
         np.concatenate([leg.speed_mps for leg in legs]),
         np.concatenate([leg.yaw_rate_radps for leg in legs]),
         np.concatenate([leg.climb_mps for leg in legs]),
+        np.concatenate([leg.velocity_y_mps for leg in legs]),
         np.concatenate([leg.station_m for leg in legs]),
     )
 
@@ -148,6 +163,7 @@ def wandering(driven: Driven, rng: np.random.Generator, *, wander_m: float, cut_
         wander_m: Standard deviation of the random part; waves of some 100 m.
         cut_m: Distance by which the sharpest bend is cut.
     """
+    # The course turns with the nose: whoever wanders slides no more for it.
     leg, profile = driven.leg, driven.section.profile
     at = np.arange(leg.station_m.min() - 200.0, leg.station_m.max() + 200.0)
     curvature = np.interp(at, profile.station_m, profile.curvature_1pm, left=0.0, right=0.0)
@@ -193,6 +209,7 @@ def turned_round(driven: Driven, share: float) -> Leg:
         there.speed_mps[::-1],
         -there.yaw_rate_radps[::-1],
         -there.climb_mps[::-1],
+        there.velocity_y_mps[::-1],
         np.full_like(there.station_m, np.nan),
     )
     return joined([there, _turn(np.pi, side=1.0), back])
@@ -201,7 +218,8 @@ def turned_round(driven: Driven, share: float) -> Leg:
 def _turn(angle_rad: float, *, side: float) -> Leg:
     rate = TURN_SPEED_MPS / TURN_RADIUS_M
     count = round(angle_rad / rate / SAMPLE_S)
-    return Leg(np.full(count, TURN_SPEED_MPS), np.full(count, side * rate), np.zeros(count), np.full(count, np.nan))
+    still = np.zeros(count)
+    return Leg(np.full(count, TURN_SPEED_MPS), np.full(count, side * rate), still, still, np.full(count, np.nan))
 
 
 def long_drive(

@@ -18,6 +18,7 @@ from vehicle_client.estimation.observer import (
     straightness_1ps,
     two_way_velocity_mps,
 )
+from vehicle_client.estimation.offsets import NO_OFFSETS
 from vehicle_client.estimation.roll import chassis_roll_rad, reckoned_roll_rate_radps, road_accel_y_mps2
 from vehicle_client.estimation.summary import KinematicSignals
 from vehicle_client.estimation.wheel_speed import encoder_speed_mps
@@ -50,14 +51,52 @@ def kinematic_signals(
         parameters: Constants of the estimation.
         offsets: To subtract from the sensors.
     """
-    measured = _inertial(trace, vehicle, offsets, parameters)
-    lowpass = parameters.lowpass
-    yaw_rate = measured.yaw_rate_radps
-    accel_y = smoothed(measured.accel_y_mps2, lowpass)
-    steer = smoothed(trace.steer_rad - offsets.steer_rad, lowpass)
     profile = section.profile
     bank = np.arctan(np.interp(station_m, profile.station_m, profile.cross_slope_ratio))
     climb = np.arctan(np.interp(station_m, profile.station_m, profile.grade_ratio))
+    measured = _inertial(trace, vehicle, offsets, parameters)
+    return _signals(
+        trace, measured, bank, climb, vehicle=vehicle, parameters=parameters, steer_offset_rad=offsets.steer_rad
+    )
+
+
+def unmapped_velocity_y_mps(
+    trace: Trace, *, vehicle: VehicleGeometry, parameters: ObserverParameters
+) -> FloatArray | None:
+    """Return the lateral velocity before it is known where the car is; None without a lateral accelerometer. (n,)
+
+    As on a level road and with nothing subtracted: the roll filter takes bank and offsets, as all that lasts, for a
+    tilt of the car. Enough to see which way a sliding car moves.
+
+    Args:
+        trace: Without gaps (bridged), more than 30 samples.
+        vehicle: The own car.
+        parameters: Constants of the estimation.
+    """
+    if "accel_y_mps2" in trace.absent:
+        return None
+    level = np.zeros_like(trace.time_s)
+    measured = _inertial(trace, vehicle, NO_OFFSETS, parameters)
+    estimated = _signals(
+        trace, measured, level, level, vehicle=vehicle, parameters=parameters, steer_offset_rad=NO_OFFSETS.steer_rad
+    )
+    return estimated.velocity_y_mps
+
+
+def _signals(
+    trace: Trace,
+    measured: InertialSignals,
+    bank: FloatArray,
+    climb: FloatArray,
+    *,
+    vehicle: VehicleGeometry,
+    parameters: ObserverParameters,
+    steer_offset_rad: float,
+) -> KinematicSignals:
+    lowpass = parameters.lowpass
+    yaw_rate = measured.yaw_rate_radps
+    accel_y = smoothed(measured.accel_y_mps2, lowpass)
+    steer = smoothed(trace.steer_rad - steer_offset_rad, lowpass)
     accel_x = smoothed(measured.accel_x_mps2, lowpass) - GRAVITY_MPS2 * np.sin(climb)
 
     def speed_given(velocity_y_mps: FloatArray) -> FloatArray:

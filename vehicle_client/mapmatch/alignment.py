@@ -59,7 +59,7 @@ class MetredDrive:
 
     Attributes:
         length_m: Travelled in all.
-        heading_rad: Gained since the first sample, left positive.
+        heading_rad: Course if it is known, else the nose's; gained since the first sample, left positive.
         curvature_1pm: Mean over 15 m, left turn positive.
         speed_mps: Mean over 15 m.
         accel_y_mps2: Centripetal, left positive.
@@ -133,15 +133,16 @@ def metred_drive(line: DrivenLine, time_s: FloatArray) -> MetredDrive | None:
         line: From `driven_line`.
         time_s: Of its samples. (n,)
     """
-    finite = np.isfinite(line.distance_m).all() and np.isfinite(line.heading_rad).all() and np.isfinite(time_s).all()
+    turned = line.heading_rad if line.course_rad is None else line.course_rad
+    finite = np.isfinite(line.distance_m).all() and np.isfinite(turned).all() and np.isfinite(time_s).all()
     if not finite or len(time_s) == 0 or not SMOOTHING_M < line.distance_m[-1] < _LONGEST_M:
         return None
-    if np.abs(line.heading_rad).max() > _HEADING_LIMIT_RAD:
+    if np.abs(turned).max() > _HEADING_LIMIT_RAD:
         return None
     moved = np.concatenate([np.diff(line.distance_m) > _MOVED_M, [True]])
     distance = line.distance_m[moved]
     grid = np.arange(0.0, float(distance[-1]) + GRID_M, GRID_M)
-    heading = np.interp(grid, distance, line.heading_rad[moved])
+    heading = np.interp(grid, distance, turned[moved])
     curvature = mean_curvature_1pm(grid, heading, at_m=grid)
     # Time over the same 15 m, since the quotient of two neighbouring samples is mostly noise.
     pace_spm = mean_curvature_1pm(grid, np.interp(grid, distance, time_s[moved]), at_m=grid)
@@ -255,10 +256,21 @@ def _refined(drive: MetredDrive, stretch: MappedStretch, shifts_m: FloatArray) -
             shift_m=float(fit[k, 0]),
             scale_ratio=1.0 + float(fit[k, 1]),
             residual_rad=residual[k],
-            position_std_m=float(np.hypot(POSITION_FLOOR_M, np.sqrt(max(0.0, middle @ covariance[k] @ middle)))),
+            position_std_m=_position_std_m(max(0.0, float(middle @ covariance[k] @ middle)), residual[k]),
         )
         for k in range(len(fit))
     ]
+
+
+def _position_std_m(variance_m2: float, residual_rad: FloatArray) -> float:
+    """Return the standard deviation of the stations: what the fit knows of them, and what a heading cannot know.
+
+    Args:
+        variance_m2: From the fit, if drivers wander as supposed.
+        residual_rad: What the fit left. A driver who strayed more than supposed, or slid, was also elsewhere by more.
+    """
+    strayed_ratio = float(np.mean(residual_rad**2)) / WANDER_STD_RAD**2
+    return float(np.hypot(POSITION_FLOOR_M, np.sqrt(variance_m2 * (1.0 + strayed_ratio))))
 
 
 def _residual_rad(drive: MetredDrive, stretch: MappedStretch, fit: FloatArray) -> FloatArray:

@@ -6,7 +6,7 @@ derivative. A curve is recognised by how much, how sharply and after how many me
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -40,6 +40,8 @@ class DrivenLine:
         x_m: Position.
         y_m: Position.
         height_m: Gained since the first sample, if it is known.
+        course_rad: Where the car moved to, if its lateral velocity is known: a car that slides does not follow its
+            nose. From where the nose first pointed, left positive.
     """
 
     distance_m: FloatArray
@@ -47,6 +49,7 @@ class DrivenLine:
     x_m: FloatArray
     y_m: FloatArray
     height_m: FloatArray | None = None
+    course_rad: FloatArray | None = None
 
 
 def driven_line(
@@ -74,6 +77,27 @@ def driven_line(
             y_m=integral(speed_mps * sin_h + left * cos_h),
             height_m=None if vertical_velocity_mps is None else integral(vertical_velocity_mps),
         )
+
+
+COURSE_SPEED_MIN_MPS = 2.0
+"""Slower than this a course is taken as of that speed: a little lateral velocity would turn a standing car around."""
+
+
+def with_course(line: DrivenLine, *, speed_mps: FloatArray, velocity_y_mps: FloatArray | None) -> DrivenLine:
+    """Return a line that knows which way the car moved, unless its lateral velocity is unknown.
+
+    Distance and positions stay those of the nose: an estimate that went astray harms the course alone.
+
+    Args:
+        line: From `driven_line`.
+        speed_mps: Forward. (n,)
+        velocity_y_mps: Left, as estimated. (n,)
+    """
+    if velocity_y_mps is None:
+        return line
+    return replace(
+        line, course_rad=line.heading_rad + np.arctan2(velocity_y_mps, np.maximum(speed_mps, COURSE_SPEED_MIN_MPS))
+    )
 
 
 AGAIN_LOG_ODDS = 3.0
@@ -117,6 +141,15 @@ def match_by_dead_reckoning(line: DrivenLine, time_s: FloatArray, section: RoadS
         The match, or why there is none: PASSAGE_ABORTED if the drive is shorter than the section, or follows it
         beyond its half and ends before it does; else WRONG_ROAD.
     """
+    found = _matched(line, time_s, section)
+    if isinstance(found, SectionMatch) or line.course_rad is None:
+        return found
+    # A lateral accelerometer that lies bends the course, not the heading.
+    by_nose = _matched(replace(line, course_rad=None), time_s, section)
+    return by_nose if isinstance(by_nose, SectionMatch) else found
+
+
+def _matched(line: DrivenLine, time_s: FloatArray, section: RoadSection) -> SectionMatch | Rejected:
     drive = metred_drive(line, time_s)
     length = section.length_m
     driven = 0.0 if drive is None else drive.length_m

@@ -50,23 +50,23 @@ class Weights(NamedTuple):
 
 
 PLANE_WEIGHTS = Weights(
-    start_ratio=-7.73,
-    vote_ratio=0.98,
-    curvature_ratio=-2.17,
-    lateral_ratio=-2.53,
+    start_ratio=-14.97,
+    vote_ratio=0.91,
+    curvature_ratio=-2.98,
+    lateral_ratio=-2.79,
     height_ratio=0.00,
-    length_ratio=0.63,
-    places_ratio=-0.72,
+    length_ratio=1.76,
+    places_ratio=-0.74,
 )
 """For drives without heights."""
 SPATIAL_WEIGHTS = Weights(
-    start_ratio=-9.67,
-    vote_ratio=0.95,
-    curvature_ratio=-2.02,
-    lateral_ratio=-2.53,
-    height_ratio=-0.44,
-    length_ratio=0.88,
-    places_ratio=-0.71,
+    start_ratio=-15.37,
+    vote_ratio=0.90,
+    curvature_ratio=-2.95,
+    lateral_ratio=-2.79,
+    height_ratio=-0.08,
+    length_ratio=1.81,
+    places_ratio=-0.74,
 )
 """For drives with heights."""
 CURVATURE_FLOOR_FRAC = 0.02
