@@ -165,18 +165,15 @@ def _recording(
     path: Path, signals: str | None, *, speedup_ratio: float
 ) -> tuple[Source, VehicleProfile, tuple[str, ...]]:
     from vehicle_client.shell.live.source import PlayedTrace
-    from vehicle_client.shell.sources import read_mapped, read_trace_csv
-    from vehicle_client.vehicle_profile import PAPER_VEHICLE
+    from vehicle_client.shell.recorded import RecordedAs, read_drive
+    from vehicle_client.shell.sources import read_mapped
 
     if signals is not None:
         recording = read_mapped(path, signals)
         source = PlayedTrace(recording.aligned.trace, speedup_ratio=speedup_ratio)
         return source, recording.vehicle, recording.mapping.missing
-    try:
-        trace = read_trace_csv(path)
-    except OSError as error:
-        raise ConfigurationError(f"cannot read {path}: {error.strerror or error}") from error
-    return PlayedTrace(trace, speedup_ratio=speedup_ratio), PAPER_VEHICLE, ()
+    drive = read_drive(path, RecordedAs())
+    return PlayedTrace(drive.recording.trace, speedup_ratio=speedup_ratio), drive.vehicle, ()
 
 
 def _vehicle(path: Path) -> VehicleProfile:

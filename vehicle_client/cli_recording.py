@@ -149,7 +149,7 @@ def inspect(
     with some curves are best. Exit code 1 if something is off; the hint says what to write into the mapping.
     """
     from vehicle_client.recording.inspection import inspect_trace
-    from vehicle_client.shell.inspected import findings_table, findings_to_json, something_is_off
+    from vehicle_client.shell.inspected import findings_table, findings_to_json, hints_of, something_is_off
 
     drive = _read(recording, RecordedAs(recording_format, mapping, vehicle))
     findings = inspect_trace(drive.recording.trace, drive.vehicle.geometry, counts=drive.counts)
@@ -157,6 +157,8 @@ def inspect(
         print(json.dumps(findings_to_json(findings, drive), indent=1))
     else:
         Console().print(findings_table(findings, drive))
+        for hint in hints_of(findings):
+            print(hint)
     raise typer.Exit(1 if something_is_off(findings) else 0)
 
 

@@ -60,7 +60,7 @@ _CLEARLY = 0.2
 _WHEEL_RATIO = (0.9, 1.1)
 _MOVING_MPS = 3.0
 _TURNING = ("yaw_rate_radps", "accel_y_mps2", "steer_rad")
-_SIGN_HINT = "has lost its sign; where that is a signal of its own, negative_when says which"
+_SIGN_HINT = "has lost its sign: is that a signal of its own? negative_when says which"
 ROLL = "roll rate against change of lateral acceleration"
 
 

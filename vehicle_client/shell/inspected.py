@@ -30,7 +30,8 @@ def findings_table(findings: Iterable[Finding], drive: RecordedDrive) -> Table:
     lasts_s = trace.samples_count / 100.0
     table = Table(
         Column("channel", no_wrap=True),
-        *("per s", "range", "longest gap", "invalid", "verdict", "hint"),
+        *("per s", "range", "gap", "invalid"),
+        Column("verdict", no_wrap=True),
         title=f"{lasts_s:.1f} s of driving, read as a {drive.vehicle.name}",
         title_justify="left",
         caption=_caption(drive),
@@ -38,8 +39,7 @@ def findings_table(findings: Iterable[Finding], drive: RecordedDrive) -> Table:
     )
     for finding in findings:
         there = finding.verdict is not Verdict.ABSENT
-        name, _, suffix = finding.channel.rpartition("_")
-        name, unit = (name, _UNITS[suffix]) if suffix in _UNITS else (finding.channel, "")
+        name, unit = _name_and_unit(finding.channel)
         table.add_row(
             name,
             _number(finding.rate_hz, "{:.0f}"),
@@ -47,9 +47,17 @@ def findings_table(findings: Iterable[Finding], drive: RecordedDrive) -> Table:
             _number(finding.longest_gap_s, "{:.2f} s"),
             f"{finding.invalid_frac:.1%}" if there else "",
             f"[{_COLOURS[finding.verdict]}]{finding.verdict.value}",
-            finding.hint.replace("[", "\\["),
         )
     return table
+
+
+def hints_of(findings: Iterable[Finding]) -> list[str]:
+    """Return what there is to say about the channels, a line for each hint; channels with the same one share it."""
+    by_hint: dict[tuple[Verdict, str], list[str]] = {}
+    for finding in findings:
+        for hint in filter(None, finding.hint.split("; ")):
+            by_hint.setdefault((finding.verdict, hint), []).append(_name_and_unit(finding.channel)[0])
+    return [f"{', '.join(names)} ({verdict.value}): {hint}" for (verdict, hint), names in by_hint.items()]
 
 
 def findings_to_json(findings: Iterable[Finding], drive: RecordedDrive) -> dict[str, Any]:
@@ -75,6 +83,12 @@ def findings_to_json(findings: Iterable[Finding], drive: RecordedDrive) -> dict[
             for finding in findings
         },
     }
+
+
+def _name_and_unit(channel: str) -> tuple[str, str]:
+    """Return what a channel is called in `signals.toml`, and its unit for a person."""
+    name, _, suffix = channel.rpartition("_")
+    return (name, _UNITS[suffix]) if suffix in _UNITS else (channel, "")
 
 
 def _caption(drive: RecordedDrive) -> str:

@@ -206,7 +206,8 @@ def test_a_mapping_that_is_wrong_is_found_out(log: Path, tmp_path: Path):
     (tmp_path / "signals.toml").write_text(text, encoding="utf-8")
     code, out = run("inspect", log, "--signals", tmp_path / "signals.toml")
     assert code == 1
-    assert 'unit = "km/h"' in " ".join(out.replace("│", " ").split())
+    wheels = "wheel_front_left, wheel_front_right, wheel_rear_left, wheel_rear_right"
+    assert f'{wheels} (off): wheel speeds look like km/h: unit = "km/h"' in out.splitlines()
 
 
 @pytest.mark.sim
@@ -237,6 +238,7 @@ def test_a_survey_writes_over_nothing_unless_it_is_told_to(log: Path, tmp_path: 
     ("arguments", "needle"),
     [
         (["replay", "drive.blf", "--dry-run"], "--signals signals.toml"),
+        (["live", "--play", "drive.blf"], "--signals signals.toml"),
         (["inspect", "drive.csv", "--signals", "example"], "drive.csv is not such"),
         (["inspect", "no-such.blf", "--signals", "example"], "no-such.blf"),
         (["inspect", "drive.blf", "--signals", "no-such.toml"], "no-such.toml"),
