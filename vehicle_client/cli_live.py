@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import gc
 import signal
+from functools import partial
 from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -155,8 +156,8 @@ def _bus(stack: contextlib.ExitStack, text: str, signals: str | None) -> tuple[S
         raise ConfigurationError(f"{signals} names no dbc, which a bus needs")
     described = can_mapping_at(mapping, place)
     interface, channel = _interface_and_channel(text)
-    bus = stack.enter_context(open_bus(interface, channel, frame_ids=described.frame_ids))
-    source = stack.enter_context(CanSource(bus, described))
+    reopen = partial(open_bus, interface, channel, frame_ids=described.frame_ids)
+    source = stack.enter_context(CanSource(stack.enter_context(reopen()), described, reopen=reopen))
     car = _vehicle(place.parent / mapping.vehicle) if mapping.vehicle else PAPER_VEHICLE
     return LiveBus(source), car, mapping.missing
 

@@ -37,7 +37,7 @@ def play(drive: str, section: str, spool: Path) -> None:
     except SystemExit as leaving:
         if leaving.code:
             raise
-    if not any(spool.iterdir()):
+    if not any(spool.glob("*.json")):
         raise RuntimeError("the live client summarised no passage")
 
 

@@ -22,6 +22,7 @@ from typing import Any
 
 from roadgrip.errors import RoadgripError
 from roadgrip.records import PASSAGE_ID_BYTES, KinematicSummary, QualityFlag
+from vehicle_client.shell.whole_file import PART_SUFFIX, write_whole
 
 FORMAT_VERSION = 1
 CAPACITY_COUNT = 100
@@ -151,7 +152,7 @@ class Spool:
         if number is None:
             number = self._next
         try:
-            _write_whole(self._path(number), _to_json(entry))
+            write_whole(self._path(number), _to_json(entry))
         except OSError as error:
             raise SpoolError(f"cannot keep a summary in {self._folder}: {error.strerror}") from error
         self._next = max(self._next, number + 1)
@@ -202,7 +203,7 @@ class Spool:
             self.counts.overflowed_count += 1
 
     def _load(self) -> None:
-        for leftover in self._folder.glob(f"*{_SUFFIX}.part"):
+        for leftover in self._folder.glob(f"*{_SUFFIX}{PART_SUFFIX}"):
             leftover.unlink()
         for path in sorted(self._folder.glob(f"*{_SUFFIX}")):
             entry = _read(path)
@@ -216,25 +217,6 @@ class Spool:
                 self._entries[int(path.stem)] = entry
                 self._next = max(self._next, int(path.stem) + 1)
         self._make_room()
-
-
-def _write_whole(path: Path, text: str) -> None:
-    beside = path.with_name(path.name + ".part")
-    try:
-        with beside.open("w", encoding="utf-8") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        beside.replace(path)
-    except OSError:
-        beside.unlink(missing_ok=True)
-        raise
-    # The new name is on the disk only when the folder is.
-    folder = os.open(path.parent, os.O_RDONLY)
-    try:
-        os.fsync(folder)
-    finally:
-        os.close(folder)
 
 
 def _to_json(entry: SpooledSummary) -> str:

@@ -33,7 +33,9 @@ from vehicle_client.shell.live.attendance import Attendance, Nothing, Report, To
 from vehicle_client.shell.live.cellular import QueryClock, list_sections
 from vehicle_client.shell.live.cockpit import Cockpit, SendAdvice
 from vehicle_client.shell.live.journal import Journal, Write, passage_entry
+from vehicle_client.shell.live.map_store import MapStore
 from vehicle_client.shell.live.ring import Recorded, SampleRing, trace_of
+from vehicle_client.shell.live.source import SourceState
 from vehicle_client.shell.live.units import BroadcastListener, Heard, UnitsInReach, listen_for_broadcasts
 from vehicle_client.shell.spool import BootClock, Spool, SpooledSummary
 from vehicle_client.shell.uplink import HTTP_TIMEOUT_S, HttpUplink, UdpUplink
@@ -51,6 +53,8 @@ if TYPE_CHECKING:
 TICK_S = 0.1
 MAPS_LIMIT_COUNT = 16
 """Maps in memory; some 100 kB each with the profile that is computed from it."""
+MAPS_FOLDER = "maps"
+"""In the spool's folder; as many maps on disk as in memory."""
 ASSUMED_BEACON_S = 10.0
 DELIVERY_PAUSE_S = 20.0
 """A summary that was not taken is tried again after this, while a unit is in reach."""
@@ -100,8 +104,10 @@ class LiveClient:
             worker=self._worker,
         )
         self._maps: OrderedDict[str, RoadSection] = OrderedDict()
+        self._map_store = MapStore(settings.spool_folder / MAPS_FOLDER, capacity_count=MAPS_LIMIT_COUNT)
         self._cockpit = Cockpit(
             self._clock,
+            source_state_of=lambda: source.state,
             passes_of=lambda: self._around.passes,
             map_of=self._maps.get,
             counters=self.counters,
@@ -120,8 +126,10 @@ class LiveClient:
         self._served: frozenset[str] = frozenset()
         self._query = QueryClock()
         self._http: httpx.AsyncClient | None = None
+        for section in self._map_store.load():
+            self._learn_map(section)
         for section in settings.sections:
-            self.take_map(section)
+            self._learn_map(section)
 
     def stop(self) -> None:
         """Ask the client to end; it does within a second."""
@@ -210,14 +218,22 @@ class LiveClient:
 
     def take_map(self, section: RoadSection) -> None:
         """Keep a map, and look for its section from now on."""
+        if self._learn_map(section):
+            self._begin(self._tools.work(self._map_store.keep, section))
+            self._cockpit.show_map(section)
+        else:
+            self._begin(self._tools.work(self._map_store.touch, section.section_id))
+
+    def _learn_map(self, section: RoadSection) -> bool:
+        """Return whether a map is news."""
         known = self._maps.pop(section.section_id, None)
         self._maps[section.section_id] = section
         if known is not None and known.version == section.version:
-            return
+            return False
         while len(self._maps) > MAPS_LIMIT_COUNT:
             self._maps.popitem(last=False)
         self._around.learn(line_of_section(section), has_map=True)
-        self._cockpit.show_map(section)
+        return True
 
     def take_advice(self, section_id: str, advisory: Advisory) -> None:
         """Show advice to the driver, while its pass lasts and it holds."""
@@ -249,7 +265,11 @@ class LiveClient:
         at_s = self._source.start()
         self._assumed_s = at_s - ASSUMED_BEACON_S
         self._driving = True
-        while not self._source.ended:
+        told = SourceState.RUNNING
+        while (state := self._source.state) is not SourceState.ENDED:
+            if state is not told:
+                self._journal.say({"event": f"source_{state.value}"})
+                told = state
             now_s = self._source.now_s()
             while at_s < now_s:
                 at_s = min(now_s, at_s + self._source.step_s)
@@ -409,6 +429,7 @@ class LiveClient:
             "spool_dropped_overflow": counts.overflowed_count,
             "spool_dropped_age_unknown": counts.age_unknown_count,
             "spool_dropped_unreadable": counts.unreadable_count,
+            "maps_dropped_unreadable": self._map_store.unreadable_count,
         }
 
 

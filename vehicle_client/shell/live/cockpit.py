@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from roadgrip.section import RoadSection
     from vehicle_client.mapmatch.approach import Pass
     from vehicle_client.shell.conversation import Clock
+    from vehicle_client.shell.live.source import SourceState
 
 LOOK_S = 0.1
 """Advice that has run out is withdrawn so soon."""
@@ -42,6 +43,7 @@ class Cockpit:
         self,
         clock: Clock,
         *,
+        source_state_of: Callable[[], SourceState],
         passes_of: Callable[[], tuple[Pass, ...]],
         map_of: Callable[[str], RoadSection | None],
         counters: Callable[[], dict[str, Any]],
@@ -52,6 +54,7 @@ class Cockpit:
 
         Args:
             clock: By which advice runs out.
+            source_state_of: Tells how the sensors are.
             passes_of: Gives the open passes.
             map_of: Gives the map of a section, if it is known.
             counters: What readers get who ask for it.
@@ -59,6 +62,7 @@ class Cockpit:
             send: Puts advice on a CAN bus, if that is wanted.
         """
         self._clock = clock
+        self._source_state_of = source_state_of
         self._passes_of = passes_of
         self._map_of = map_of
         self._counters = counters
@@ -106,7 +110,7 @@ class Cockpit:
         """Tell what has changed: where the car is, or advice that has run out."""
         advice = self.advice
         self._advice = {shown.section_id: shown for shown in advice}
-        present = (self._sections(), advice)
+        present = (self._source_state_of(), self._sections(), advice)
         if present != self._told:
             self._told = present
             self._sequence_number += 1
@@ -149,7 +153,11 @@ class Cockpit:
 
     def _state_line(self) -> dict[str, Any]:
         return state_line(
-            self._sections(), self.advice, now_s=self._clock.now_s(), sequence_number=self._sequence_number
+            self._sections(),
+            self.advice,
+            source=self._source_state_of().value,
+            now_s=self._clock.now_s(),
+            sequence_number=self._sequence_number,
         )
 
     def _counters_line(self) -> dict[str, Any]:

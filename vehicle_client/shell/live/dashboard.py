@@ -77,13 +77,19 @@ def advice_to_json(shown: ShownAdvice, *, now_s: float) -> dict[str, Any]:
 
 
 def state_line(
-    sections: tuple[SectionAhead, ...], advice: tuple[ShownAdvice, ...], *, now_s: float, sequence_number: int
+    sections: tuple[SectionAhead, ...],
+    advice: tuple[ShownAdvice, ...],
+    *,
+    source: str,
+    now_s: float,
+    sequence_number: int,
 ) -> dict[str, Any]:
     """Return the line that says everything a driver may be told now."""
     return {
         "v": SCHEMA_VERSION,
         "type": "state",
         "sequence": sequence_number,
+        "source": source,
         "sections": [
             {"section_id": s.section_id, "whereabouts": s.whereabouts, "map_version": s.map_version} for s in sections
         ],

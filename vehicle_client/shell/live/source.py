@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import time
+from enum import StrEnum
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
+from roadgrip.errors import ConfigurationError
 from vehicle_client.recording.channels import FIX_CHANNELS, SENSOR_COLUMNS, STABILITY_COLUMN, WHEEL_COLUMNS
 from vehicle_client.recording.series import Series
 
@@ -21,12 +23,22 @@ if TYPE_CHECKING:
 PLAYED_STEP_S = 0.1
 
 
+class SourceState(StrEnum):
+    """How a source of sensor values is; part of what the dashboard is told."""
+
+    RUNNING = "running"
+    BROKEN = "broken"
+    """The bus broke, and is being opened again."""
+    ENDED = "ended"
+    """Nothing will come any more."""
+
+
 class Source(Protocol):
     """Values of sensors as they come. Nothing here waits."""
 
     @property
-    def ended(self) -> bool:
-        """Whether nothing will come any more."""
+    def state(self) -> SourceState:
+        """How it is."""
         ...
 
     def start(self) -> float:
@@ -76,9 +88,9 @@ class PlayedTrace:
         self._series |= _fix_series(trace.gnss)
 
     @property
-    def ended(self) -> bool:
+    def state(self) -> SourceState:
         """Whether everything was played."""
-        return self._taken_s >= float(self._trace.time_s[-1])
+        return SourceState.ENDED if self._taken_s >= float(self._trace.time_s[-1]) else SourceState.RUNNING
 
     def start(self) -> float:
         """Begin to play, and return the time of the first sample."""
@@ -131,9 +143,9 @@ class LiveBus:
         self._now_s = now_s
 
     @property
-    def ended(self) -> bool:
-        """Whether the bus broke for good."""
-        return not self._source.alive
+    def state(self) -> SourceState:
+        """Whether the bus can be read; one that broke is opened again."""
+        return SourceState.BROKEN if self._source.broken else SourceState.RUNNING
 
     def start(self) -> float:
         """Return the time: a bus runs anyway."""
@@ -153,7 +165,13 @@ class LiveBus:
         return duration_s
 
     def take(self, *, until_s: float) -> Readings:  # noqa: ARG002 - a bus knows no future
-        """Return what came since the last call."""
+        """Return what came since the last call.
+
+        Raises:
+            ConfigurationError: Nobody reads the bus any more; only a new process helps.
+        """
+        if not self._source.alive:
+            raise ConfigurationError(f"the CAN bus is not read any more: {self._source.counts.failure}")
         times: dict[str, list[float]] = {}
         values: dict[str, list[float]] = {}
         for channel, time_s, value in self._source.poll():
@@ -168,6 +186,7 @@ class LiveBus:
             "can_frames": counts.frames_count,
             "can_values_dropped": counts.dropped_count,
             "can_errors": counts.errors_count,
+            "can_reopened": counts.reopened_count,
         }
 
     def close(self) -> None:

@@ -87,6 +87,50 @@ def test_a_bus_that_breaks_ends_the_source_and_says_why():
     assert source.counts.failure == "the cable is out"
 
 
+def test_a_bus_that_breaks_is_opened_again_as_often_as_it_takes(buses):
+    car, ours = buses
+    opened: list[can.BusABC] = []
+
+    class Broken:
+        is_shut_down = False
+
+        def recv(self, timeout=None):
+            raise OSError("the cable is out")
+
+        def shutdown(self):
+            self.is_shut_down = True
+
+    def reopen() -> can.BusABC:
+        opened.append(ours)
+        if len(opened) == 1:
+            raise ConfigurationError("still out")
+        return Broken() if len(opened) == 2 else ours  # type: ignore[return-value]
+
+    first = Broken()
+    with CanSource(first, EXAMPLE, reopen=reopen, reopen_s=0.01) as source:  # type: ignore[arg-type]
+        wait_for(lambda: len(opened) == 3 and not source.broken)
+        assert first.is_shut_down
+        assert source.counts.reopened_count == 1
+        assert source.counts.errors_count == 3
+        send_frame(car, STEERING, steering())
+        wait_for(lambda: source.counts.frames_count == 1)
+
+
+def test_a_source_is_closed_at_once_while_its_bus_is_broken():
+    class Broken:
+        def recv(self, timeout=None):
+            raise OSError("the cable is out")
+
+    def reopen() -> can.BusABC:
+        raise ConfigurationError("still out")
+
+    source = CanSource(Broken(), EXAMPLE, reopen=reopen, reopen_s=60.0)  # type: ignore[arg-type]
+    wait_for(lambda: source.broken)
+    assert source.alive
+    source.close()
+    assert not source.alive
+
+
 def test_an_adapter_that_does_not_exist_is_said():
     with pytest.raises(ConfigurationError, match="cannot open CAN no-such-adapter can0"):
         open_bus("no-such-adapter", "can0")

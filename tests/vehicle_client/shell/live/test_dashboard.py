@@ -17,6 +17,7 @@ from vehicle_client.shell.live.dashboard import (
     ShownAdvice,
     parse_dashboard_address,
 )
+from vehicle_client.shell.live.source import SourceState
 
 pytestmark = pytest.mark.system
 
@@ -35,7 +36,7 @@ class HandClock:
 
 
 def a_cockpit(clock: HandClock, counts: Counter[str], *passes: Pass, **more: Any) -> Cockpit:
-    more = {"passes_of": lambda: passes} | more
+    more = {"passes_of": lambda: passes, "source_state_of": lambda: SourceState.RUNNING} | more
     return Cockpit(clock, map_of={"bend": BEND}.get, counters=lambda: {"passages": 3}, counts=counts, **more)
 
 
@@ -245,3 +246,20 @@ async def _one_frame_more(clock: HandClock, sent: list[Any]) -> None:
     clock.time_s += 1.1
     while len(sent) == before:  # noqa: ASYNC110 - the loop under test goes by its own clock
         await asyncio.sleep(0.02)
+
+
+def test_a_bus_that_breaks_is_said(tmp_path: Path):
+    async def story() -> None:
+        states = [SourceState.RUNNING]
+        cockpit = a_cockpit(HandClock(), Counter(), source_state_of=lambda: states[-1])
+        await cockpit.open(tmp_path / "dash.sock")
+        cockpit.refresh()
+        reader, writer = await asyncio.open_unix_connection(tmp_path / "dash.sock")
+        assert (await next_line(reader))["source"] == "running"
+        states.append(SourceState.BROKEN)
+        cockpit.refresh()
+        assert (await next_line(reader))["source"] == "broken"
+        writer.close()
+        await cockpit.close()
+
+    asyncio.run(story())

@@ -39,7 +39,7 @@ def test_the_example_of_a_state_line_has_the_fields_of_a_real_one():
     (example,) = re.findall(r"```json\n(.*?)```", PAGE, flags=re.DOTALL)
     shown = json.loads(example)
     advice = ShownAdvice("bend", ADVICE, expires_s=10.0)
-    real = state_line((SectionAhead("bend", "near", ""),), (advice,), now_s=0.0, sequence_number=1)
+    real = state_line((SectionAhead("bend", "near", ""),), (advice,), source="running", now_s=0.0, sequence_number=1)
     assert shown.keys() == real.keys()
     assert shown["sections"][0].keys() == real["sections"][0].keys()
     assert shown["advice"][0].keys() == real["advice"][0].keys()

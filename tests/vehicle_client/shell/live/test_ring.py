@@ -8,7 +8,7 @@ from vehicle_client.estimation.trace import GnssTrack, Trace
 from vehicle_client.recording.channels import CHANNELS, WHEEL_COLUMNS
 from vehicle_client.recording.series import Series
 from vehicle_client.shell.live.ring import Readings, SampleRing
-from vehicle_client.shell.live.source import PlayedTrace
+from vehicle_client.shell.live.source import PlayedTrace, SourceState
 
 
 def wavy_trace(samples_count: int = 3000) -> Trace:
@@ -31,7 +31,7 @@ def wavy_trace(samples_count: int = 3000) -> Trace:
 def fill(ring: SampleRing, trace: Trace, *, step_s: float = 0.1) -> None:
     source = PlayedTrace(trace)
     at = float(trace.time_s[0])
-    while not source.ended:
+    while source.state is not SourceState.ENDED:
         ring.put(source.take(until_s=at))
         at += step_s
 
