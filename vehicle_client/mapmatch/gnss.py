@@ -47,6 +47,8 @@ COVERAGE_MIN_FRAC = 0.3
 """Dropouts are bridged, but the fixes must span this share of the section."""
 SPEED_LIMIT_MPS = 150.0
 SCALE_STD_RATIO = 0.01
+END_RATIO = 2.2
+"""A straight line over the odometer is wrong where bends are cut, most at its ends: so many times the median there."""
 TREND_MIN_RATIO = 0.5
 """Stations that fall by more than this per metre driven: the other direction."""
 _JUMP_M = 60.0
@@ -142,7 +144,9 @@ def match_by_gnss(
         length_m=length,
         confidence_frac=agreeing_frac,
         # Receiver errors wander over minutes: within one passage they hardly average out.
-        position_std_m=float(np.hypot(median(np.abs(station - reckoned)[along]), median(gnss.accuracy_m[good]))),
+        position_std_m=float(
+            np.hypot(END_RATIO * median(np.abs(station - reckoned)[along]), median(gnss.accuracy_m[good]))
+        ),
         method=MatchMethod.GNSS,
     )
 
