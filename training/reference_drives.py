@@ -15,6 +15,7 @@ from roadgrip.section import RoadSection, build_section
 from roadgrip.units import SAMPLE_S, BoolArray, FloatArray
 from training.scenarios import ATTEMPTS_PER_KEPT_RUN_COUNT, Scenario, Terms, kept, run_of, surveyed_map
 from vehicle_client.estimation.gaps import believable, bridged
+from vehicle_client.estimation.mounting import in_car_axes
 from vehicle_client.estimation.offsets import NO_OFFSETS, SensorOffsets
 from vehicle_client.estimation.trace import Trace, part_of
 from vehicle_client.estimation.vehicle_geometry import VehicleGeometry
@@ -60,7 +61,7 @@ class ReferenceDrive:
 
     Attributes:
         name: What people call it.
-        trace: What the sensors saw, gaps bridged.
+        trace: What the sensors saw, gaps bridged, in the car's axes.
         section: The map the vehicle had; level where nobody knows better.
         station_m: Where along it. (n,)
         vehicle: The car.
@@ -173,7 +174,7 @@ def simulated_drives(
         found.append(
             ReferenceDrive(
                 name=run.key,
-                trace=bridged(drive.trace, valid),
+                trace=in_car_axes(bridged(drive.trace, valid), vehicle),
                 section=road_map,
                 station_m=result.match.station_m,
                 vehicle=vehicle,
@@ -209,7 +210,7 @@ def _part(recording: Recording, *, name: str, vehicle: VehicleGeometry, from_s: 
         )
     return ReferenceDrive(
         name=name,
-        trace=bridged(trace, valid),
+        trace=in_car_axes(bridged(trace, valid), vehicle),
         section=level_road(),
         station_m=np.zeros(n),
         vehicle=vehicle,

@@ -10,10 +10,11 @@ import numpy as np
 from roadgrip.records import KinematicSummary, QualityFlag, Reason, Rejected
 from vehicle_client.estimation.filters import smoothed
 from vehicle_client.estimation.gaps import believable, bridged, longest_gap_s, missing_frac
+from vehicle_client.estimation.mounting import in_car_axes
 from vehicle_client.estimation.observer import XC90_PARAMETERS, ObserverParameters
 from vehicle_client.estimation.offsets import SensorOffsets, sensor_offsets
 from vehicle_client.estimation.plausibility import Sensor, findings
-from vehicle_client.estimation.signals import in_car_axes, kinematic_signals, unmapped_velocity_y_mps
+from vehicle_client.estimation.signals import kinematic_signals, unmapped_velocity_y_mps
 from vehicle_client.estimation.summary import KinematicSignals, kinematic_summary
 from vehicle_client.estimation.vehicle_geometry import XC90, VehicleGeometry
 from vehicle_client.estimation.vertical import vertical_velocity_mps
@@ -84,7 +85,9 @@ def summarise_passage(
     valid = believable(trace)
     if int(valid.sum()) < SAMPLES_MIN_COUNT:
         return Rejected(Reason.TOO_SHORT, f"{int(valid.sum())} samples")
-    trace = bridged(trace, valid)
+    sensed = bridged(trace, valid)
+    # Before anything else: a tilted sensor's share of gravity is neither a climb nor a slide nor an offset.
+    trace = in_car_axes(sensed, vehicle)
     rough = _rough_speed_mps(trace, vehicle=vehicle, parameters=parameters)
     climbing = vertical_velocity_mps(trace.accel_x_mps2, rough, trace.yaw_rate_radps)
     line = with_course(
@@ -95,27 +98,25 @@ def summarise_passage(
     placing = placed(trace.gnss, line, trace.time_s, section)
     match = placing.outcome
     if isinstance(match, Rejected):
-        return _not_found(trace, rough, vehicle, refusal=match)
+        return _not_found(sensed, rough, vehicle, refusal=match)
     inside = match.inside(trace.time_s)
     refusal = _refusal(inside=inside, valid=valid, speed_mps=rough)
     if refusal is not None:
         return refusal
     found = (
         *placing.findings,
-        *findings(trace, rough, from_s=match.entry_s, to_s=match.exit_s, vehicle=vehicle),
+        *findings(sensed, rough, from_s=match.entry_s, to_s=match.exit_s, vehicle=vehicle),
     )
     faults = [finding for finding in found if finding.grave]
     if faults:
         return Rejected(Reason.SENSOR_FAULT, "; ".join(map(str, faults)))
-    # In the car's axes, from where they are subtracted: else a tilted sensor's share of gravity counts twice.
-    mounted = in_car_axes(trace, vehicle)
     offsets = sensor_offsets(
-        mounted.accel_y_mps2,
-        mounted.yaw_rate_radps,
+        trace.accel_y_mps2,
+        trace.yaw_rate_radps,
         trace.steer_rad,
         rough,
         valid & (trace.time_s < match.entry_s),
-        accel_x_mps2=mounted.accel_x_mps2,
+        accel_x_mps2=trace.accel_x_mps2,
         climb_rad=float(np.arctan(section.profile.grade_ratio[0])),
         wheelbase_m=vehicle.wheelbase_m,
     )

@@ -22,6 +22,7 @@ from tests.vehicle_client.synthetic import (
     surveyed,
     with_noise,
 )
+from vehicle_client.estimation.mounting import mounting_rotation
 from vehicle_client.estimation.observer import PAPER_PARAMETERS
 from vehicle_client.estimation.offsets import NO_OFFSETS
 from vehicle_client.estimation.signals import kinematic_signals
@@ -149,15 +150,23 @@ def test_approach_and_exit_do_not_leak_into_the_summary():
     assert np.allclose(quantities(made(summarise_passage(trace, SECTION)).summary), quantities(short), atol=1e-3)
 
 
-def test_a_tilted_sensor_is_put_level_once():
-    # What mounting explains is no offset: before levelling the share of gravity would be taken out a second time.
-    tilt = 0.05
-    vehicle = replace(XC90, imu_roll_rad=tilt)
-    turned = replace(TRACE, accel_y_mps2=TRACE.accel_y_mps2 * np.cos(tilt) + GRAVITY_MPS2 * np.sin(tilt))
-    result = made(summarise_passage(turned, SECTION, vehicle=vehicle))
-    assert result.offsets.accel_y_mps2 == pytest.approx(
-        made(summarise_passage(TRACE, SECTION)).offsets.accel_y_mps2, abs=1e-3
+@pytest.mark.parametrize(
+    ("roll_rad", "pitch_rad", "yaw_rad"),
+    [(0.05, 0.0, 0.0), (0.6, 0.0, 0.0), (0.0, -0.5, 0.0), (0.0, 0.0, np.pi), (0.3, 0.2, -0.4)],
+)
+def test_however_the_sensor_is_mounted_the_summary_is_the_same(roll_rad, pitch_rad, yaw_rad):
+    # From the first step on: gravity's share in a tilted sensor is no climb, no slide, no offset and no fault.
+    vehicle = replace(XC90, imu_roll_rad=roll_rad, imu_pitch_rad=pitch_rad, imu_yaw_rad=yaw_rad)
+    trace = with_noise(drive_over(s_turn, swing_mps=1.0)[0], np.random.default_rng(6))
+    n, back = trace.samples_count, mounting_rotation(vehicle).T
+    force = back @ np.vstack([trace.accel_x_mps2, trace.accel_y_mps2, np.full(n, GRAVITY_MPS2)])
+    rate = back @ np.vstack([trace.roll_rate_radps, np.zeros(n), trace.yaw_rate_radps])
+    turned = replace(
+        trace, accel_x_mps2=force[0], accel_y_mps2=force[1], roll_rate_radps=rate[0], yaw_rate_radps=rate[2]
     )
+    here, there = made(summarise_passage(trace, SECTION)), made(summarise_passage(turned, SECTION, vehicle=vehicle))
+    assert np.allclose(there.summary.values, here.summary.values, rtol=0.0, atol=1e-9)
+    assert there.summary.quality == here.summary.quality
 
 
 @pytest.mark.parametrize("slope", [-0.08, 0.0, 0.05])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,6 +12,7 @@ from vehicle_client.estimation.filters import LowPass, rate_of_change, smoothed
 
 if TYPE_CHECKING:
     from roadgrip.units import FloatArray
+    from vehicle_client.estimation.trace import Trace
     from vehicle_client.estimation.vehicle_geometry import VehicleGeometry
 
 
@@ -30,6 +31,29 @@ class InertialSignals:
     accel_y_mps2: FloatArray
     roll_rate_radps: FloatArray
     yaw_rate_radps: FloatArray
+
+
+def in_car_axes(trace: Trace, vehicle: VehicleGeometry) -> Trace:
+    """Return the trace with what the inertial unit sensed turned into the car's axes, offsets still in it.
+
+    The very same trace for zero mounting angles.
+    """
+    signals = InertialSignals(
+        accel_x_mps2=trace.accel_x_mps2,
+        accel_y_mps2=trace.accel_y_mps2,
+        roll_rate_radps=trace.roll_rate_radps,
+        yaw_rate_radps=trace.yaw_rate_radps,
+    )
+    turned = levelled(signals, vehicle)
+    if turned is signals:
+        return trace
+    return replace(
+        trace,
+        accel_x_mps2=turned.accel_x_mps2,
+        accel_y_mps2=turned.accel_y_mps2,
+        roll_rate_radps=turned.roll_rate_radps,
+        yaw_rate_radps=turned.yaw_rate_radps,
+    )
 
 
 def levelled(signals: InertialSignals, vehicle: VehicleGeometry) -> InertialSignals:

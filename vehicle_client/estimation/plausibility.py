@@ -22,6 +22,7 @@ import numpy as np
 from roadgrip.order_statistics import median
 from roadgrip.units import SAMPLE_RATE_HZ, SAMPLE_S
 from vehicle_client.estimation.liveness import clipped_s, frozen_rows, rests
+from vehicle_client.estimation.mounting import in_car_axes
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -152,7 +153,7 @@ def findings(
     Channels in `trace.absent` are asked nothing; below 3 m/s nothing is said.
 
     Args:
-        trace: Without gaps (bridged).
+        trace: Without gaps (bridged), in the sensor's own axes: turned, one channel that froze would live by another.
         speed_mps: Forward. (n,)
         from_s: When the vehicle entered the section.
         to_s: When it left it.
@@ -161,6 +162,7 @@ def findings(
     first, beyond = np.searchsorted(trace.time_s, [from_s - AROUND_S, to_s + AROUND_S])
     rows = slice(int(first), int(beyond))
     found = [*_lifeless(trace, speed_mps, rows)]
+    trace = in_car_axes(trace, vehicle)
     blocks = _blocks(trace, speed_mps, rows, vehicle)
     if len(blocks.number) < BLOCKS_MIN_COUNT:
         return tuple(found)

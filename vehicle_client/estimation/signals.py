@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from roadgrip.units import GRAVITY_MPS2
 from vehicle_client.estimation.filters import smoothed
-from vehicle_client.estimation.mounting import InertialSignals, at_centre_of_gravity, levelled
+from vehicle_client.estimation.mounting import InertialSignals, at_centre_of_gravity
 from vehicle_client.estimation.observer import (
     ObserverParameters,
     gripping_velocity_y_mps,
@@ -44,7 +43,7 @@ def kinematic_signals(
     """Return everything the client estimates, at every sample.
 
     Args:
-        trace: Without gaps (bridged), more than 30 samples.
+        trace: Without gaps (bridged), in the car's axes (`in_car_axes`), more than 30 samples.
         section: The map, for bank and grade; beyond its ends they are held.
         station_m: Position along the section. (n,)
         vehicle: The own car.
@@ -69,7 +68,7 @@ def unmapped_velocity_y_mps(
     tilt of the car. Enough to see which way a sliding car moves.
 
     Args:
-        trace: Without gaps (bridged), more than 30 samples.
+        trace: Without gaps (bridged), in the car's axes (`in_car_axes`), more than 30 samples.
         vehicle: The own car.
         parameters: Constants of the estimation.
     """
@@ -153,27 +152,14 @@ def _signals(
     )
 
 
-def in_car_axes(trace: Trace, vehicle: VehicleGeometry) -> InertialSignals:
-    """Return what the inertial unit sensed, turned into the car's axes, offsets still in it."""
-    return levelled(
-        InertialSignals(
-            accel_x_mps2=trace.accel_x_mps2,
-            accel_y_mps2=trace.accel_y_mps2,
-            roll_rate_radps=trace.roll_rate_radps,
-            yaw_rate_radps=trace.yaw_rate_radps,
-        ),
-        vehicle,
-    )
-
-
 def _inertial(
     trace: Trace, vehicle: VehicleGeometry, offsets: SensorOffsets, parameters: ObserverParameters
 ) -> InertialSignals:
-    signals = in_car_axes(trace, vehicle)
-    signals = replace(
-        signals,
-        accel_x_mps2=signals.accel_x_mps2 - offsets.accel_x_mps2,
-        accel_y_mps2=signals.accel_y_mps2 - offsets.accel_y_mps2,
-        yaw_rate_radps=signals.yaw_rate_radps - offsets.yaw_rate_radps,
+    """Return what sensors without offsets would have sensed at the centre of gravity."""
+    signals = InertialSignals(
+        accel_x_mps2=trace.accel_x_mps2 - offsets.accel_x_mps2,
+        accel_y_mps2=trace.accel_y_mps2 - offsets.accel_y_mps2,
+        roll_rate_radps=trace.roll_rate_radps,
+        yaw_rate_radps=trace.yaw_rate_radps - offsets.yaw_rate_radps,
     )
     return at_centre_of_gravity(signals, vehicle, lowpass=parameters.lowpass)

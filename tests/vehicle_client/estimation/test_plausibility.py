@@ -151,3 +151,11 @@ def test_nothing_is_read_into_a_second():
     at = float(trace.time_s[MIDDLE])
     found = findings(trace, trace.wheel_speed_mps.mean(axis=1), from_s=at + 900.0, to_s=at + 901.0, vehicle=XC90)
     assert found == ()
+
+
+def test_a_channel_of_a_turned_sensor_that_freezes_does_not_live_by_the_others():
+    vehicle = replace(XC90, imu_yaw_rad=0.3)
+    frozen = replace(TRACE, accel_x_mps2=np.where(LATER, 0.4, TRACE.accel_x_mps2))
+    speed, to_s = TRACE.wheel_speed_mps.mean(axis=1), float(TRACE.time_s[EXIT - 1])
+    found = findings(frozen, speed, from_s=float(TRACE.time_s[ENTRY]), to_s=to_s, vehicle=vehicle)
+    assert any(finding.grave and "frozen" in finding.what for finding in found)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from roadgrip.units import GRAVITY_MPS2, SAMPLE_S, FloatArray
 from tests.vehicle_client.synthetic import bump, clock_s, motion, negative, road, with_noise
-from vehicle_client.estimation.mounting import mounting_rotation
+from vehicle_client.estimation.mounting import in_car_axes, mounting_rotation
 from vehicle_client.estimation.observer import PAPER_PARAMETERS, XC90_PARAMETERS, ObserverParameters
 from vehicle_client.estimation.offsets import NO_OFFSETS
 from vehicle_client.estimation.signals import kinematic_signals
@@ -216,7 +216,7 @@ def test_a_turned_sensor_gives_the_same_signals(roll_rad, pitch_rad, yaw_rad):
     turned = replace(
         trace, accel_x_mps2=force[0], accel_y_mps2=force[1], roll_rate_radps=rate[0], yaw_rate_radps=rate[2]
     )
-    here, found = estimated(trace), estimated(turned, vehicle=vehicle)
+    here, found = estimated(trace), estimated(in_car_axes(turned, vehicle), vehicle=vehicle)
     for field in fields(KinematicSignals):
         assert np.allclose(getattr(found, field.name), getattr(here, field.name), atol=1e-9), field.name
 
