@@ -84,7 +84,7 @@ COURSE_SPEED_MIN_MPS = 2.0
 
 
 def with_course(line: DrivenLine, *, speed_mps: FloatArray, velocity_y_mps: FloatArray | None) -> DrivenLine:
-    """Return a line that knows which way the car moved, unless its lateral velocity is unknown.
+    """Return a line that knows which way the car moved, unless its lateral velocity is not known throughout.
 
     Distance and positions stay those of the nose: an estimate that went astray harms the course alone.
 
@@ -93,7 +93,7 @@ def with_course(line: DrivenLine, *, speed_mps: FloatArray, velocity_y_mps: Floa
         speed_mps: Forward. (n,)
         velocity_y_mps: Left, as estimated. (n,)
     """
-    if velocity_y_mps is None:
+    if velocity_y_mps is None or not np.isfinite(velocity_y_mps).all():
         return line
     return replace(
         line, course_rad=line.heading_rad + np.arctan2(velocity_y_mps, np.maximum(speed_mps, COURSE_SPEED_MIN_MPS))

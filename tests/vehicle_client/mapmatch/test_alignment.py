@@ -14,7 +14,7 @@ from vehicle_client.mapmatch.alignment import (
     metred_drive,
     value_at,
 )
-from vehicle_client.mapmatch.dead_reckoning import driven_line
+from vehicle_client.mapmatch.dead_reckoning import driven_line, with_course
 
 SECTION = road(s_turn)
 STRETCH = mapped_stretch(SECTION.profile, length_m=SECTION.length_m)
@@ -94,3 +94,28 @@ def test_a_standstill_of_any_length_is_no_distance():
 
 def test_between_the_metres_lie_straight_lines_and_beyond_the_ends_nothing_changes():
     assert value_at(np.array([0.0, 2.0, 6.0]), np.array([-3.0, 0.5, 1.25, 9.0])) == pytest.approx([0.0, 1.0, 3.0, 6.0])
+
+
+def test_what_the_fit_leaves_makes_the_position_less_sure():
+    trace, _ = drive_over(s_turn)
+    speed = trace.wheel_speed_mps[:, 2:].mean(axis=1)
+    straying = 0.06 * np.sin(np.arange(len(speed)) * 0.01 * 2.0 * np.pi / 2.0)
+    strayed = driven_line(speed, trace.yaw_rate_radps + np.gradient(straying, 0.01))
+    drive = metred_drive(strayed, trace.time_s)
+    assert drive is not None
+    unsure, sure = best(drive), best(metred())
+    assert unsure.residual_rms_rad > 0.03
+    assert unsure.position_std_m > 1.5 * sure.position_std_m
+
+
+def test_a_sliding_car_lies_on_the_map_by_its_course():
+    trace, _ = drive_over(s_turn)
+    speed = trace.wheel_speed_mps[:, 2:].mean(axis=1)
+    # The tail steps out and comes back, three times: no share of the lateral acceleration.
+    sideslip = -0.1 * np.sin(np.arange(len(speed)) * 0.01 * 2.0 * np.pi / 3.0) ** 2
+    nose = driven_line(speed, trace.yaw_rate_radps - np.gradient(sideslip, 0.01))
+    by_course = with_course(nose, speed_mps=speed, velocity_y_mps=speed * np.tan(sideslip))
+    places = [best(drive) for line in (nose, by_course) if (drive := metred_drive(line, trace.time_s)) is not None]
+    assert places[0].residual_rms_rad > 0.02
+    assert places[1].residual_rms_rad < 0.004
+    assert places[1].shift_m == pytest.approx(80.0, abs=1.0)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from roadgrip.records import Reason, Rejected
 from roadgrip.section import build_section
 from tests.vehicle_client.synthetic import bump, clock_s, drive_over, negative, road, s_turn
-from vehicle_client.mapmatch.dead_reckoning import driven_line, match_by_dead_reckoning
+from vehicle_client.mapmatch.dead_reckoning import driven_line, match_by_dead_reckoning, with_course
 from vehicle_client.mapmatch.match import MatchMethod, SectionMatch
 
 
@@ -247,3 +247,35 @@ def test_garbage_is_refused_without_an_exception(speeds, rates, climbs):
         line = driven_line(speed, rate, None, climb)
         outcome = match_by_dead_reckoning(line, clock_s(1200), road(s_turn))
     assert isinstance(outcome, Rejected)
+
+
+def test_an_unknown_lateral_velocity_leaves_the_line_as_it_is():
+    line = driven_line(np.full(200, 10.0), np.full(200, 0.1))
+    assert with_course(line, speed_mps=np.full(200, 10.0), velocity_y_mps=None) is line
+
+
+def test_a_course_is_the_heading_and_the_sideslip_and_moves_no_point():
+    speed, left = np.full(200, 10.0), np.full(200, -1.0)
+    line = driven_line(speed, np.full(200, 0.1))
+    slid = with_course(line, speed_mps=speed, velocity_y_mps=left)
+    assert slid.course_rad == pytest.approx(line.heading_rad - np.arctan(0.1))
+    assert (slid.x_m == line.x_m).all()
+    assert (slid.distance_m == line.distance_m).all()
+
+
+def test_a_standing_car_has_no_course_of_its_own():
+    still = np.zeros(200)
+    slid = with_course(driven_line(still, still), speed_mps=still, velocity_y_mps=np.full(200, 0.02))
+    assert np.abs(slid.course_rad).max() < 0.011
+
+
+@pytest.mark.parametrize("lie", [lambda n: np.full(n, np.nan), lambda n: 8.0 * np.sin(np.arange(n) * 0.05)])
+def test_a_lateral_velocity_that_lies_hides_no_road(lie):
+    trace, _ = drive_over(s_turn)
+    speed = speed_of(trace)
+    line = driven_line(speed, trace.yaw_rate_radps)
+    lied_to = with_course(line, speed_mps=speed, velocity_y_mps=lie(len(speed)))
+    honest, match = (found(match_by_dead_reckoning(one, trace.time_s, road(s_turn))) for one in (line, lied_to))
+    assert (match.entry_s, match.exit_s) == (honest.entry_s, honest.exit_s)
+    foreign = match_by_dead_reckoning(lied_to, trace.time_s, road(negative(s_turn)))
+    assert refused(foreign) is Reason.WRONG_ROAD

@@ -1,11 +1,12 @@
 """What speaks for a place, and how much."""
 
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 import pytest
 
-from vehicle_client.mapmatch.evidence import PLANE_WEIGHTS, SPATIAL_WEIGHTS, Evidence
+from vehicle_client.mapmatch.evidence import CONFIDENCE_MIN_FRAC, PLANE_WEIGHTS, SPATIAL_WEIGHTS, Evidence, Weights
 from vehicle_client.mapmatch.waypoints import VOTE_MIN, vote_of_waypoints
 
 GOOD = Evidence(
@@ -79,3 +80,71 @@ def test_a_bend_the_other_way_speaks_against_it_but_not_without_end():
 def test_left_and_right_weigh_the_same():
     mapped, driven = np.array([0.01, -0.02]), np.array([0.012, -0.015])
     assert vote_of_waypoints(-driven, mapped_1pm=-mapped) == vote_of_waypoints(driven, mapped_1pm=mapped)
+
+
+MEASURED = [
+    (True, 1.0, 0.32, 0.51, 0.06, 78.0, 2.8),
+    (True, 2.0, 0.18, 0.66, 0.24, 600.0, 1.2),
+    (True, 1.1, 0.15, 0.09, 0.04, 204.0, 57.8),
+    (True, 1.0, 0.08, 0.11, 0.01, 81.0, 20.7),
+    (True, 1.0, 0.08, 0.2, 0.01, 53.0, 194.2),
+    (True, 2.1, 0.23, 0.55, 0.54, 600.0, 1.2),
+    (True, 2.0, 0.23, 0.6, 0.51, 600.0, 1.2),
+    (True, 1.0, 0.05, 0.17, 0.0, 100.0, 2.4),
+    (True, 2.0, 0.25, 1.24, 0.27, 600.0, 1.2),
+    (True, 2.1, 0.25, 0.42, 0.16, 600.0, 1.2),
+    (True, 2.0, 0.19, 0.52, 0.42, 600.0, 1.2),
+    (True, 6.0, 0.44, 0.49, 0.14, 196.0, 1.7),
+    (False, 1.0, 0.44, 2.05, 0.02, 286.0, 1.9),
+    (False, 0.6, 0.51, 0.36, 0.18, 195.0, 3.8),
+    (False, 2.1, 0.33, 3.74, 0.09, 429.0, 1.2),
+    (False, 0.9, 0.15, 0.7, 0.03, 85.0, 134.7),
+    (False, 1.0, 0.3, 0.57, 0.03, 157.0, 8.9),
+    (False, 1.0, 0.25, 1.58, 0.14, 404.0, 1.2),
+    (False, 2.0, 0.95, 0.51, 0.06, 88.0, 2.5),
+    (False, 7.5, 0.71, 0.58, 0.06, 323.0, 1.4),
+    (False, 1.0, 0.29, 1.06, 0.04, 205.0, 10.4),
+    (False, 2.1, 0.42, 1.36, 0.73, 395.0, 4.8),
+    (False, 1.7, 0.65, 1.17, 0.18, 411.0, 26.0),
+    (False, 1.0, 0.22, 0.18, 0.08, 71.0, 4.5),
+]
+"""Right or not; vote, curvature misfit, metres apart, difference in height, length, places: doubtful cases of
+development roads, both kinds as often."""
+
+
+def loss(weights: Weights) -> float:
+    """Return minus the mean logarithm of the probability given to what was the case."""
+    total = 0.0
+    for right, vote, curvature, lateral, height, length, places in MEASURED:
+        seen = (1.0, vote, *np.log([curvature + 0.02, lateral + 0.1, height + 0.05, length, places]))
+        log_odds = float(np.dot(weights, seen))
+        total += float(np.logaddexp(0.0, -log_odds if right else log_odds))
+    return total / len(MEASURED)
+
+
+@pytest.mark.parametrize("weights", [PLANE_WEIGHTS, SPATIAL_WEIGHTS])
+def test_no_two_weights_are_exchanged(weights):
+    assert loss(weights) < 0.5
+    for i, j in combinations(range(len(weights)), 2):
+        swapped = list(weights)
+        swapped[i], swapped[j] = swapped[j], swapped[i]
+        assert loss(Weights(*swapped)) > loss(weights), (Weights._fields[i], Weights._fields[j])
+
+
+@pytest.mark.parametrize("with_height", [True, False])
+def test_each_weight_meets_what_it_is_named_for(with_height):
+    weights = SPATIAL_WEIGHTS if with_height else PLANE_WEIGHTS
+    for right, vote, curvature, lateral, height, length, places in MEASURED:
+        evidence = Evidence(vote, curvature, lateral, height if with_height else None, length, places, 1.0)
+        seen = (1.0, vote, *np.log([curvature + 0.02, lateral + 0.1, height + 0.05, length, places]))
+        # Without heights their weight is zero.
+        assert evidence.log_odds == pytest.approx(float(np.dot(weights, seen))), right
+
+
+def test_the_probability_is_that_of_the_odds():
+    for vote in (-8.0, 0.0, 3.0, 8.0):
+        evidence = replace(GOOD, vote_ratio=vote)
+        frac = evidence.confidence_frac
+        assert np.log(frac / (1.0 - frac)) == pytest.approx(evidence.log_odds)
+        assert evidence.convincing == (frac >= CONFIDENCE_MIN_FRAC)
+    assert replace(GOOD, vote_ratio=-1e4).confidence_frac >= 0.0

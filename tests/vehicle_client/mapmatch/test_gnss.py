@@ -113,3 +113,16 @@ def test_what_is_needed_for_positions():
     assert not positions_usable(fixes(), road(s_turn))
     blurred = replace(fixes(), accuracy_m=np.full(len(fixes().time_s), 80.0))
     assert not positions_usable(blurred, SECTION)
+
+
+def test_a_car_that_cuts_bends_is_placed_less_surely_than_the_receiver_says():
+    exact = fixes()
+    sharp = replace(exact, accuracy_m=np.full(len(exact.time_s), 0.01))
+    # An odometer that runs 3 % long in the first half and 3 % short in the second is no straight line.
+    speed = TRACE.wheel_speed_mps[:, 2:].mean(axis=1)
+    bent = driven_line(speed * np.where(STATION < 200.0, 1.03, 0.97), TRACE.yaw_rate_radps)
+    straight, cut = (found(match_by_gnss(sharp, line, TRACE.time_s, SECTION)) for line in (LINE, bent))
+    ends = np.interp([cut.entry_s, cut.exit_s], TRACE.time_s, STATION) - [0.0, 400.0]
+    assert straight.position_std_m < 0.5
+    assert np.abs(ends).max() > 1.0
+    assert np.abs(ends).max() < 2.0 * cut.position_std_m
