@@ -164,26 +164,44 @@ def inspect(
 
 def signals(
     folder: Annotated[Path, typer.Argument(help="Where the three files go; made if it is not there.")],
+    dbc: Annotated[
+        Path | None,
+        typer.Option("--dbc", metavar="FILE", help="Your car's DBC: draft signals.toml by its names and units."),
+    ] = None,
     force: Annotated[bool, typer.Option("--force", help="Write over files that are there.")] = False,
 ) -> None:
-    """Write signals.toml, vehicle.toml and a DBC of a made-up car, as a pattern for one's own.
+    """Write signals.toml, vehicle.toml and a DBC: a made-up car's as a pattern, or a draft for your own DBC.
 
-    They are what `--signals example` reads. Change signals.toml until `inspect` has nothing to say against it.
+    With `--dbc` the likeliest signal of each channel is filled in and the next ones are comments; it is a guess, so look
+    at every table. Without it the files are what `--signals example` reads. Then make vehicle.toml your car, and change
+    signals.toml until `inspect` has nothing to say against it.
     """
-    from vehicle_client.shell.can.description import EXAMPLE, path_of_signals
+    from vehicle_client.recording.mapping_draft import mapping_draft
+    from vehicle_client.shell.can.description import EXAMPLE, path_of_signals, signals_of_dbc
 
     pattern = path_of_signals(EXAMPLE).parent
-    names = ("signals.toml", "vehicle.toml", "roadgrip-example.dbc")
-    there = [str(folder / name) for name in names if (folder / name).exists()]
+    contents = {
+        name: (pattern / name).read_bytes() for name in ("signals.toml", "vehicle.toml", "roadgrip-example.dbc")
+    }
+    missing: tuple[str, ...] = ()
+    if dbc is not None:
+        text, missing = mapping_draft(signals_of_dbc(dbc), dbc=dbc.name)
+        del contents["roadgrip-example.dbc"]
+        contents["signals.toml"] = text.encode()
+        if not (folder / dbc.name).exists() or not (folder / dbc.name).samefile(dbc):
+            contents[dbc.name] = dbc.read_bytes()
+    there = [str(folder / name) for name in contents if (folder / name).exists()]
     if there and not force:
         raise ConfigurationError(f"{', '.join(there)} is there already; --force writes over it")
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        for name in names:
-            (folder / name).write_bytes((pattern / name).read_bytes())
+        for name, content in contents.items():
+            (folder / name).write_bytes(content)
     except OSError as error:
         raise ConfigurationError(f"cannot write into {folder}: {error.strerror or error}") from error
-    print(f"{folder}: {', '.join(names)}")
+    print(f"{folder}: {', '.join(contents)}")
+    if missing:
+        print(f"nothing in {dbc} looks like {', '.join(missing)}; say in {folder / 'signals.toml'} where they are")
 
 
 def _read(path: Path, recorded: RecordedAs) -> RecordedDrive:

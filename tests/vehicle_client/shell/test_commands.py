@@ -20,7 +20,7 @@ from roadgrip.section_file import section_to_json
 from roadgrip.sections import read_section
 from vehicle_client.__main__ import main
 from vehicle_client.cli import app
-from vehicle_client.shell.can.description import read_can_mapping
+from vehicle_client.shell.can.description import path_of_signals, read_can_mapping
 
 SPEEDUP = "200"
 
@@ -276,3 +276,23 @@ def test_a_pattern_of_a_mapping_is_written_and_can_be_read(tmp_path: Path):
     with pytest.raises(ConfigurationError, match="--force"):
         run("signals", tmp_path / "mycar")
     assert run("signals", tmp_path / "mycar", "--force")[0] == 0
+
+
+def test_a_draft_is_made_of_a_dbc_and_can_be_read(tmp_path: Path):
+    dbc = tmp_path / "mycar.dbc"
+    dbc.write_bytes((Path(str(files("vehicle_client.shell.can"))) / "example" / "roadgrip-example.dbc").read_bytes())
+    code, out = run("signals", tmp_path / "mycar", "--dbc", dbc)
+    assert code == 0
+    assert "nothing in" not in out
+    example, draft = (
+        {source.table: source.signal for source in read_can_mapping(path).mapping.sources}
+        for path in (path_of_signals("example"), tmp_path / "mycar" / "signals.toml")
+    )
+    assert set(draft.items()) <= set(example.items())
+    assert set(example) - set(draft) <= {"stability"}
+
+
+def test_a_draft_needs_a_dbc_that_is_one(tmp_path: Path):
+    with pytest.raises(ConfigurationError, match=r"--dbc: cannot read .*no\.dbc"):
+        run("signals", tmp_path / "mycar", "--dbc", tmp_path / "no.dbc")
+    assert not (tmp_path / "mycar").exists()

@@ -12,6 +12,7 @@ import cantools
 from roadgrip.errors import ConfigurationError
 from vehicle_client.recording.bit_fields import BitField
 from vehicle_client.recording.frames import FrameLayout, FrameSignal
+from vehicle_client.recording.mapping_draft import DescribedSignal
 from vehicle_client.recording.signal_mapping import ALL_BITS_SET, checked_against, meant, signal_mapping_of_toml
 
 if TYPE_CHECKING:
@@ -107,13 +108,36 @@ def can_mapping_at(mapping: SignalMapping, path: Path) -> CanMapping:
         ConfigurationError: The DBC cannot be read, or they do not fit each other; the message says where.
     """
     dbc = path.parent / mapping.dbc
+    return can_mapping_of(mapping, _database_at(dbc, place=f"{path} dbc"), dbc=dbc.name)
+
+
+def signals_of_dbc(path: Path) -> tuple[DescribedSignal, ...]:
+    """Return what a DBC says of all its signals.
+
+    Raises:
+        ConfigurationError: It cannot be read.
+    """
+    return tuple(
+        DescribedSignal(
+            message=message.name,
+            name=signal.name,
+            unit=signal.unit or "",
+            length_bits=signal.length,
+            comment=signal.comment or "",
+            choices=tuple(str(name) for name in (signal.choices or {}).values()),
+        )
+        for message in _database_at(path, place="--dbc").messages
+        for signal in message.signals
+    )
+
+
+def _database_at(dbc: Path, *, place: str) -> Any:
     try:
-        database: Any = cantools.database.load_file(dbc, strict=False)
+        return cantools.database.load_file(dbc, strict=False)
     except OSError as error:
-        raise ConfigurationError(f"{path} dbc: cannot read {dbc}: {error.strerror or error}") from error
+        raise ConfigurationError(f"{place}: cannot read {dbc}: {error.strerror or error}") from error
     except Exception as error:  # cantools raises what its parsers raise
-        raise ConfigurationError(f"{path} dbc: {dbc} cannot be understood: {error}") from error
-    return can_mapping_of(mapping, database, dbc=dbc.name)
+        raise ConfigurationError(f"{place}: {dbc} cannot be understood: {error}") from error
 
 
 def can_mapping_of(mapping: SignalMapping, database: Any, *, dbc: str) -> CanMapping:
