@@ -11,8 +11,8 @@ from roadgrip.units import GRAVITY_MPS2, SAMPLE_S, FloatArray
 from tests.vehicle_client.synthetic import bump, clock_s, motion, negative, road, with_noise
 from vehicle_client.estimation.mounting import in_car_axes, mounting_rotation
 from vehicle_client.estimation.observer import PAPER_PARAMETERS, XC90_PARAMETERS, ObserverParameters
-from vehicle_client.estimation.offsets import NO_OFFSETS
-from vehicle_client.estimation.signals import kinematic_signals
+from vehicle_client.estimation.offsets import NO_OFFSETS, SensorOffsets
+from vehicle_client.estimation.signals import kinematic_signals, unmapped_velocity_y_mps
 from vehicle_client.estimation.summary import KinematicSignals
 from vehicle_client.estimation.trace import Trace, mirrored
 from vehicle_client.estimation.vehicle_geometry import XC90, VehicleGeometry
@@ -38,6 +38,7 @@ def estimated(
     section=LEVEL,
     vehicle: VehicleGeometry = XC90,
     parameters: ObserverParameters = XC90_PARAMETERS,
+    offsets: SensorOffsets = NO_OFFSETS,
 ) -> KinematicSignals:
     return kinematic_signals(
         trace,
@@ -45,7 +46,7 @@ def estimated(
         station_m=np.zeros(trace.samples_count),
         vehicle=vehicle,
         parameters=parameters,
-        offsets=NO_OFFSETS,
+        offsets=offsets,
     )
 
 
@@ -176,6 +177,55 @@ def test_a_longer_approach_only_shifts_the_signals():
         assert np.abs(there - here).max() < 2e-4, name
 
 
+def test_offsets_are_what_is_taken_off_the_sensors():
+    trace = with_noise(motion(np.full(N, 15.0), lane_changes_radps(TIME_S)), np.random.default_rng(1))
+    offsets = replace(NO_OFFSETS, yaw_rate_radps=0.003, accel_x_mps2=-0.1, accel_y_mps2=0.2, steer_rad=-0.004)
+    off = replace(
+        trace,
+        yaw_rate_radps=trace.yaw_rate_radps + 0.003,
+        accel_x_mps2=trace.accel_x_mps2 - 0.1,
+        accel_y_mps2=trace.accel_y_mps2 + 0.2,
+        steer_rad=trace.steer_rad - 0.004,
+    )
+    here, there = estimated(trace), estimated(off, offsets=offsets)
+    for field in fields(KinematicSignals):
+        assert np.allclose(getattr(there, field.name), getattr(here, field.name), atol=1e-12), field.name
+
+
+def test_gravity_along_a_climb_is_no_acceleration():
+    trace = with_noise(motion(15.0 + np.sin(TIME_S), lane_changes_radps(TIME_S)), np.random.default_rng(1))
+    climb = np.arctan(0.08)
+    uphill = replace(
+        trace,
+        accel_x_mps2=trace.accel_x_mps2 + GRAVITY_MPS2 * np.sin(climb),
+        # Turning about the vertical turns a car that points up about its long axis, too.
+        roll_rate_radps=trace.roll_rate_radps + trace.yaw_rate_radps * np.tan(climb),
+    )
+    steep = replace(LEVEL, profile=replace(LEVEL.profile, grade_ratio=np.full_like(LEVEL.profile.grade_ratio, 0.08)))
+    here, there = estimated(trace), estimated(uphill, section=steep)
+    for field in fields(KinematicSignals):
+        assert np.allclose(getattr(there, field.name), getattr(here, field.name), atol=1e-9), field.name
+
+
+def test_in_the_tightest_turn_the_speed_is_that_of_the_centre_of_gravity():
+    # The centre moves 0.6 m/s sideways, which the front wheels, turned by 0.36 rad, see as a part of their speed.
+    v, w = np.full(N, 3.3), np.full(N, 0.4)
+    found = estimated(motion(v, w, velocity_y_mps=XC90.rear_axle_m * w), parameters=SLIP_FREE)
+    assert np.abs(found.speed_mps - 3.3).max() < 5e-3
+
+
+def test_a_car_that_rolls_backwards_has_no_forward_speed():
+    found = estimated(motion(np.full(N, -2.0), np.zeros(N), steer_rad=np.zeros(N)))
+    assert (found.speed_mps == 0.0).all()
+
+
+def test_what_shakes_the_gyro_does_not_shake_the_velocities():
+    shaking = 0.2 * np.sin(2.0 * np.pi * 40.0 * TIME_S)
+    found = estimated(replace(motion(np.full(N, 20.0), np.zeros(N)), yaw_rate_radps=shaking))
+    for name in ("velocity_x_mps", "velocity_y_mps"):
+        assert np.abs(np.diff(getattr(found, name)))[60:-60].max() < 1e-4, name
+
+
 # Where the sensor sits -----------------------------------------------------------------------------------------------
 
 
@@ -267,3 +317,14 @@ def test_a_bank_that_comes_and_goes_is_not_taken_for_sliding():
     tilt = 0.05 * np.sin(2.0 * np.pi * TIME_S / 10.0) ** 2
     found = estimated(motion(np.full(N, 20.0), np.zeros(N), tilt_rad=tilt), parameters=PAPER_PARAMETERS)
     assert np.abs(found.sideslip_rad).max() < 1e-4
+
+
+def test_before_the_map_is_known_the_road_is_taken_for_level():
+    trace = motion(np.full(N, 20.0), lane_changes_radps(TIME_S))
+    seen = unmapped_velocity_y_mps(trace, vehicle=XC90, parameters=XC90_PARAMETERS)
+    assert seen == pytest.approx(estimated(trace).velocity_y_mps)
+
+
+def test_without_a_lateral_accelerometer_no_lateral_velocity_is_made_up():
+    trace = replace(motion(np.full(N, 20.0), lane_changes_radps(TIME_S)), absent=("accel_y_mps2",))
+    assert unmapped_velocity_y_mps(trace, vehicle=XC90, parameters=XC90_PARAMETERS) is None
