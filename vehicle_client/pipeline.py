@@ -155,7 +155,9 @@ def _rough_speed_mps(trace: Trace, *, vehicle: VehicleGeometry, parameters: Obse
 
 def _not_found(trace: Trace, speed_mps: FloatArray, vehicle: VehicleGeometry, *, refusal: Rejected) -> Rejected:
     """Return why a drive was not found: its gaps or its gyro may be to blame, else what the match says."""
-    gap = longest_gap_s(trace.valid)
+    there = np.flatnonzero(trace.valid)
+    # Channels that begin late, or end early, hide nothing that lies between.
+    gap = longest_gap_s(trace.valid[there[0] : there[-1] + 1])
     if gap > GAP_LIMIT_S or missing_frac(trace.valid) > MISSING_LIMIT_FRAC:
         return Rejected(Reason.TOO_MANY_GAPS, f"longest gap {gap:.2f} s; {refusal.detail}")
     whole = findings(trace, speed_mps, from_s=float(trace.time_s[0]), to_s=float(trace.time_s[-1]), vehicle=vehicle)

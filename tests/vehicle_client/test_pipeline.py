@@ -308,3 +308,8 @@ def test_a_drive_that_ends_on_the_way_is_aborted():
 def test_arrays_that_do_not_fit_are_an_error():
     with pytest.raises(TraceError):
         summarise_passage(replace(TRACE, steer_rad=TRACE.steer_rad[:-1]), SECTION)
+
+
+def test_a_sensor_that_wakes_late_is_not_blamed_for_a_wrong_road():
+    trace = without(TRACE, 0, 40)
+    assert refused(summarise_passage(trace, road(negative(s_turn)))) is Reason.WRONG_ROAD
