@@ -172,9 +172,9 @@ def signals(
 ) -> None:
     """Write signals.toml, vehicle.toml and a DBC: a made-up car's as a pattern, or a draft for your own DBC.
 
-    With `--dbc` the likeliest signal of each channel is filled in and the next ones are comments; it is a guess, so look
-    at every table. Without it the files are what `--signals example` reads. Then make vehicle.toml your car, and change
-    signals.toml until `inspect` has nothing to say against it.
+    With `--dbc` the likeliest signal of each channel is filled in and the next ones are comments: guesses to be looked at.
+    Without it the files are what `--signals example` reads. Then make vehicle.toml your car, and change signals.toml
+    until `inspect` has nothing to say against it.
     """
     from vehicle_client.recording.mapping_draft import mapping_draft
     from vehicle_client.shell.can.description import EXAMPLE, path_of_signals, signals_of_dbc
