@@ -127,7 +127,9 @@ class BitField:
             numbers = ((raws << up).view(np.int64) >> up.astype(np.int64)).astype(np.float64)
         else:
             numbers = raws.astype(np.float64)
-        return numbers * self.scale + self.zero_value
+        # A message may hold a NaN that complains when it is used; it says "unknown" like any other.
+        with np.errstate(invalid="ignore"):
+            return numbers * self.scale + self.zero_value
 
     def put_raws(self, payloads: PayloadArray, raws: RawArray) -> None:
         """Write raw numbers into many frames, whose bits there are zero.

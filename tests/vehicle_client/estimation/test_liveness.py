@@ -1,6 +1,7 @@
 """Sensors that do not live."""
 
 import numpy as np
+import pytest
 
 from vehicle_client.estimation.liveness import clipped_s, frozen_rows, rests
 
@@ -60,3 +61,18 @@ def test_the_end_of_a_range_is_seen_where_a_channel_stays_there():
     assert clipped_s(cut, rests(cut, valid), least_value=5.0) == expected > 1.0
     assert clipped_s(cut, rests(cut, valid), least_value=9.0) == 0.0
     assert clipped_s(wave, rests(wave, valid), least_value=5.0) == 0.0
+
+
+@pytest.mark.parametrize(("rested_count", "found"), [(100, True), (130, False)])
+def test_a_rest_is_a_freeze_from_four_times_as_long_as_any_other(rested_count, found):
+    values = noise(1)
+    values[100 : 100 + rested_count] = 0.5
+    values[500:] = 0.7
+    assert (frozen_rows(borders(a=values, b=noise(2), c=noise(3)), "a") is not None) is found
+
+
+def test_a_channel_is_at_the_end_of_its_range_from_three_samples_on():
+    for count, expected in ((2, 0.0), (3, 0.03)):
+        values = noise(1)
+        values[200 : 200 + count] = 8.0
+        assert clipped_s(values, rests(values, np.ones(N, dtype=bool)), least_value=5.0) == pytest.approx(expected)

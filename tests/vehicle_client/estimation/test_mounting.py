@@ -3,9 +3,10 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from roadgrip.units import GRAVITY_MPS2
-from vehicle_client.estimation.mounting import InertialSignals, at_centre_of_gravity, levelled
+from vehicle_client.estimation.mounting import InertialSignals, at_centre_of_gravity, levelled, mounting_rotation
 from vehicle_client.estimation.vehicle_geometry import XC90
 
 N = 400
@@ -47,3 +48,15 @@ def test_a_sensor_turned_to_the_left_sees_braking_as_braking():
     assert np.allclose(found.accel_x_mps2, -3.0)
     assert np.allclose(found.accel_y_mps2, 0.0, atol=1e-12)
     assert np.allclose(found.yaw_rate_radps, 0.1)
+
+
+def test_a_sensor_is_turned_to_the_left_then_nose_down_then_onto_its_side():
+    roll, pitch, yaw = 0.3, 0.2, 0.5
+    turn = mounting_rotation(replace(XC90, imu_roll_rad=roll, imu_pitch_rad=pitch, imu_yaw_rad=yaw))
+    # Its forward axis does not feel the last of the three turns, which is about it.
+    assert turn[:, 0] == pytest.approx(
+        [np.cos(yaw) * np.cos(pitch), np.sin(yaw) * np.cos(pitch), -np.sin(pitch)], abs=1e-12
+    )
+    # Its left axis lies in the level before the roll, which lifts it: left side up.
+    assert turn[2, 1] == pytest.approx(np.sin(roll) * np.cos(pitch), abs=1e-12)
+    assert np.allclose(turn @ turn.T, np.eye(3), atol=1e-12)

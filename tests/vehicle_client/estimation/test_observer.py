@@ -180,3 +180,14 @@ def test_the_sideslip_rate_is_what_turns_the_velocity_beyond_the_yaw():
 def test_sideslip_and_its_rate_are_finite_at_standstill():
     assert np.isfinite(sideslip_rate_radps(ZERO, ZERO, ZERO)).all()
     assert sideslip_rad(np.array([0.0]), np.array([0.1]))[0] == pytest.approx(np.arctan(0.1))
+
+
+@pytest.mark.parametrize(("speed_mps", "divisor_mps"), [(0.2, 1.0), (1.5, 1.5), (20.0, 20.0)])
+def test_the_sideslip_rate_is_a_rate_of_angle_down_to_one_metre_a_second(speed_mps, divisor_mps):
+    found = sideslip_rate_radps(np.full(N, 0.6), np.full(N, 0.1), np.full(N, speed_mps))
+    assert found == pytest.approx(np.full(N, 0.6 / divisor_mps - 0.1))
+
+
+def test_what_shakes_faster_than_the_filter_is_no_sideslip_rate():
+    shaking = 3.0 * np.sin(2.0 * np.pi * 40.0 * TIME_S)
+    assert np.abs(sideslip_rate_radps(shaking, ZERO, np.full(N, 20.0)))[40:-40].max() < 1e-4

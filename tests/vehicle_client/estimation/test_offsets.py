@@ -94,3 +94,53 @@ def test_the_mirror_has_the_opposite_offsets():
     assert there.accel_y_mps2 == -here.accel_y_mps2
     assert there.accel_x_mps2 == here.accel_x_mps2
     assert there.steer_rad == -here.steer_rad
+
+
+def share(prior, *measured):
+    """Return which share of a measurement is believed beside a prior around zero."""
+    return prior**2 / (prior**2 + sum(one**2 for one in measured))
+
+
+def test_each_offset_is_shrunk_by_what_a_straight_can_tell():
+    # The figures of the docstrings, once more by hand: ten seconds at 20 m/s, sensors without noise.
+    found = offsets_of(np.full(N, 0.05), np.full(N, 0.001), np.full(N, 0.002), accel_x=np.full(N, 0.04))
+    gyro = share(0.002, 0.008 / 10.0)
+    assert found.yaw_rate_radps == pytest.approx(gyro * 0.001)
+    assert found.yaw_rate_std_radps == pytest.approx(np.sqrt(gyro) * 0.0008)
+    left = (1.0 - gyro) * 0.001
+    known = found.yaw_rate_std_radps
+    assert found.accel_y_mps2 == pytest.approx(share(0.1, 0.2, 20.0 * known) * (0.05 - 20.0 * left))
+    assert found.accel_x_mps2 == pytest.approx(share(0.1, 0.15, np.sqrt(2.0) * 0.05 / 10.0) * 0.04)
+    lever = 2.984 / 20.0
+    assert found.steer_rad == pytest.approx(share(0.009, 0.001, lever * known) * (0.002 - lever * left))
+    assert found.accel_y_std_mps2 == pytest.approx(0.1 * np.sqrt(1.0 - share(0.1, 0.2, 20.0 * known)))
+
+
+def test_noise_of_the_gyro_counts_on_a_short_straight():
+    noise = 0.2 * np.where(np.arange(N) % 2, 1.0, -1.0)
+    found = offsets_of(ZERO, noise, ZERO, approach=np.arange(N) // 100 == 3)
+    assert found.yaw_rate_std_radps == pytest.approx(0.002 * np.sqrt(1.0 - share(0.002, 0.008, 0.2 / 10.0)), rel=1e-6)
+
+
+@pytest.mark.parametrize(("radius_m", "straight"), [(-700.0, False), (700.0, False), (900.0, True), (-900.0, True)])
+def test_a_bend_of_800_metres_is_the_tightest_straight(radius_m, straight):
+    assert (offsets_of(ZERO, SPEED_MPS / radius_m, ZERO) != NO_OFFSETS) is straight
+
+
+@pytest.mark.parametrize(("speed_mps", "count", "tells"), [(4.7, 900, False), (5.3, 900, True), (20.0, 95, False)])
+def test_a_straight_tells_from_a_second_at_five_metres_a_second_on(speed_mps, count, tells):
+    found = offsets_of(ZERO, ZERO, ZERO, speed=np.full(N, speed_mps), approach=np.arange(N) < count)
+    assert (found != NO_OFFSETS) is tells
+    assert offsets_of(ZERO, ZERO, ZERO, approach=np.arange(N) < 105).straight_s == pytest.approx(1.05)
+
+
+def test_of_two_straights_the_longer_one_counts():
+    for longer_first in (False, True):
+        bend = np.arange(N) // 100 == (7 if longer_first else 2)
+        found = offsets_of(ZERO, np.where(bend, 0.3, 0.0), ZERO)
+        assert 6.0 < found.straight_s <= 7.0
+
+
+def test_one_second_is_no_straight_if_a_bend_cuts_it():
+    bend = np.arange(N) % 100 > 80
+    assert offsets_of(ZERO, np.where(bend, 0.3, 0.0), ZERO) == NO_OFFSETS

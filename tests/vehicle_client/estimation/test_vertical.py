@@ -56,3 +56,9 @@ def test_the_mirrored_drive_climbs_the_same():
 def test_no_climb_is_steeper_than_any_road():
     wild = vertical_velocity_mps(np.full(N, 30.0), np.full(N, 10.0), ZERO)
     assert np.abs(wild).max() == pytest.approx(10.0 * CLIMB_LIMIT_RATIO)
+
+
+def test_a_third_is_the_steepest_climb_and_shaking_is_none():
+    assert np.abs(vertical_velocity_mps(np.full(N, -30.0), np.full(N, 10.0), ZERO)).max() == pytest.approx(3.5)
+    shaking = 3.0 * np.sin(2.0 * np.pi * 40.0 * TIME_S)
+    assert np.abs(vertical_velocity_mps(shaking, np.full(N, 10.0), ZERO))[40:-40].max() < 1e-3

@@ -86,3 +86,35 @@ def test_driving_straight_it_does_not_matter_which_wheel_is_which(order):
     wheels[:, 0], wheels[:, 1] = 9.0, wheels[:, 1] + np.linspace(0.0, 2.0, N)
     expected = speed_of(replace(trace, wheel_speed_mps=wheels))
     assert np.allclose(speed_of(replace(trace, wheel_speed_mps=wheels[:, list(order)])), expected, atol=1e-12)
+
+
+def test_two_locked_and_two_spinning_wheels_still_give_a_number():
+    trace = motion(np.full(N, 12.0), np.zeros(N))
+    wheels = np.column_stack([np.zeros((N, 2)), np.full((N, 2), 30.0)])
+    assert np.isfinite(speed_of(replace(trace, wheel_speed_mps=wheels))).all()
+
+
+def test_a_stuck_encoder_moves_the_speed_by_less_than_a_millimetre_a_second():
+    trace = motion(np.full(N, 20.0), np.zeros(N))
+    wheels = trace.wheel_speed_mps.copy()
+    wheels[:, 3] = 0.0
+    assert np.abs(speed_of(replace(trace, wheel_speed_mps=wheels)) - 20.0).max() < 1e-3
+
+
+def test_a_slipping_wheel_counts_less_while_the_car_brakes_than_on_a_steady_drive():
+    # 2 m/s^2 more than the others, for half a second: Gaussians of width 1 and 4.5 leave 14 and 91 % of its voice.
+    for accel_mps2, voice in ((-3.0, np.exp(-0.5 * 2.0**2)), (0.0, np.exp(-0.5 * (2.0 / 4.5) ** 2))):
+        speed = 30.0 + accel_mps2 * TIME_S
+        trace = motion(speed, np.zeros(N))
+        wheels = trace.wheel_speed_mps.copy()
+        slip = np.clip(TIME_S - 3.0, 0.0, 0.5) * -2.0
+        wheels[:, 2] += slip
+        error = speed_of(replace(trace, wheel_speed_mps=wheels)) - speed
+        assert error[325] == pytest.approx(slip[325] * voice / (3.0 + voice), rel=0.05)
+
+
+def test_noise_costs_a_wheel_little_of_its_voice():
+    trace = motion(np.full(N, 20.0), np.zeros(N))
+    wheels = trace.wheel_speed_mps.copy()
+    wheels[:, 0] += 0.3 + np.random.default_rng(3).normal(0.0, 0.1, N)
+    assert np.mean(speed_of(replace(trace, wheel_speed_mps=wheels)) - 20.0) == pytest.approx(0.3 / 4.0, rel=0.12)
