@@ -172,7 +172,7 @@ def signals(
 ) -> None:
     """Write signals.toml, vehicle.toml and a DBC: a made-up car's as a pattern, or a draft for your own DBC.
 
-    With `--dbc` the likeliest signal of each channel is filled in and the next ones are comments: guesses to be looked at.
+    With `--dbc` the likeliest signal of each channel is filled in and the next ones are comments, all of them guesses.
     Without it the files are what `--signals example` reads. Then make vehicle.toml your car, and change signals.toml
     until `inspect` has nothing to say against it.
     """
