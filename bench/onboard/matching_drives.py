@@ -25,7 +25,7 @@ from vehicle_client.simulator.amplitudes import AUTOMOTIVE
 from vehicle_client.simulator.map_error import map_as_surveyed
 from vehicle_client.simulator.run import draw_plan, simulate_passage
 
-SEED = 20261122
+SEED = 20270811
 """Of all roads and drives here. The weights of the matching come from roads of another seed."""
 FRICTION_RANGE_MU = (0.2, 0.8)
 TURN_RADIUS_M, TURN_SPEED_MPS = 6.0, 4.0

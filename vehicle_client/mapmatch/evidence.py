@@ -37,6 +37,7 @@ class Weights(NamedTuple):
         lateral_ratio: Of the distance between the lines.
         height_ratio: Of the difference in height.
         length_ratio: Of the length.
+        turned_ratio: Of the angle that the section turns.
         places_ratio: Of the number of places.
     """
 
@@ -46,32 +47,36 @@ class Weights(NamedTuple):
     lateral_ratio: float
     height_ratio: float
     length_ratio: float
+    turned_ratio: float
     places_ratio: float
 
 
 PLANE_WEIGHTS = Weights(
-    start_ratio=-14.97,
-    vote_ratio=0.91,
-    curvature_ratio=-2.98,
-    lateral_ratio=-2.79,
+    start_ratio=-6.46,
+    vote_ratio=0.90,
+    curvature_ratio=-2.00,
+    lateral_ratio=-3.28,
     height_ratio=0.00,
-    length_ratio=1.76,
-    places_ratio=-0.74,
+    length_ratio=0.34,
+    turned_ratio=1.42,
+    places_ratio=-0.83,
 )
 """For drives without heights."""
 SPATIAL_WEIGHTS = Weights(
-    start_ratio=-15.37,
-    vote_ratio=0.90,
-    curvature_ratio=-2.95,
-    lateral_ratio=-2.79,
-    height_ratio=-0.08,
-    length_ratio=1.81,
-    places_ratio=-0.74,
+    start_ratio=-7.10,
+    vote_ratio=0.89,
+    curvature_ratio=-1.94,
+    lateral_ratio=-3.29,
+    height_ratio=-0.15,
+    length_ratio=0.42,
+    turned_ratio=1.44,
+    places_ratio=-0.83,
 )
 """For drives with heights."""
 CURVATURE_FLOOR_FRAC = 0.02
 LATERAL_FLOOR_M = 0.1
 HEIGHT_FLOOR_M = 0.05
+_TURNED_MIN_RAD = 0.01
 _USUAL_CURVATURE_FRAC, _USUAL_LATERAL_M, _USUAL_HEIGHT_M = 0.1, 0.3, 0.15
 """What nine of ten drives over the right road stay below."""
 
@@ -89,6 +94,7 @@ class Evidence:
             straight line over the distance), its scale and the car's pitching (a share of the speed squared), and
             sideslip (the lateral acceleration squared, summed up). None if the drive has no height.
         length_m: Of the stretch: what a gyro and an accelerometer add up to grows with it.
+        turned_rad: What it turns, left and right added up: two lines lie apart by more where a road turns more.
         places_count: How many sections of this length the drive has room for: each is a chance to be wrong.
         position_std_m: Standard deviation of the stations.
     """
@@ -98,6 +104,7 @@ class Evidence:
     lateral_rms_m: float
     height_rms_m: float | None
     length_m: float
+    turned_rad: float
     places_count: float
     position_std_m: float
 
@@ -113,6 +120,7 @@ class Evidence:
             + weights.lateral_ratio * float(np.log(self.lateral_rms_m + LATERAL_FLOOR_M))
             + weights.height_ratio * float(np.log(height_m + HEIGHT_FLOOR_M))
             + weights.length_ratio * float(np.log(self.length_m))
+            + weights.turned_ratio * float(np.log(self.turned_rad))
             + weights.places_ratio * float(np.log(self.places_count))
         )
 
@@ -174,6 +182,7 @@ def evidence_of(
         lateral_rms_m=_rms(_without(np.cumsum(alignment.residual_rad) * FINE_STEP_M, stretch.centred_m)),
         height_rms_m=height,
         length_m=stretch.length_m,
+        turned_rad=max(_TURNED_MIN_RAD, float(np.abs(np.diff(stretch.heading_rad)).sum())),
         places_count=max(1.0, drive.length_m / stretch.length_m),
         position_std_m=alignment.position_std_m,
     )

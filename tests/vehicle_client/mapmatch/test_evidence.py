@@ -15,6 +15,7 @@ GOOD = Evidence(
     lateral_rms_m=0.15,
     height_rms_m=0.05,
     length_m=300.0,
+    turned_rad=2.0,
     places_count=1.5,
     position_std_m=1.0,
 )
@@ -83,40 +84,40 @@ def test_left_and_right_weigh_the_same():
 
 
 MEASURED = [
-    (True, 1.0, 0.32, 0.51, 0.06, 78.0, 2.8),
-    (True, 2.0, 0.18, 0.66, 0.24, 600.0, 1.2),
-    (True, 1.1, 0.15, 0.09, 0.04, 204.0, 57.8),
-    (True, 1.0, 0.08, 0.11, 0.01, 81.0, 20.7),
-    (True, 1.0, 0.08, 0.2, 0.01, 53.0, 194.2),
-    (True, 2.1, 0.23, 0.55, 0.54, 600.0, 1.2),
-    (True, 2.0, 0.23, 0.6, 0.51, 600.0, 1.2),
-    (True, 1.0, 0.05, 0.17, 0.0, 100.0, 2.4),
-    (True, 2.0, 0.25, 1.24, 0.27, 600.0, 1.2),
-    (True, 2.1, 0.25, 0.42, 0.16, 600.0, 1.2),
-    (True, 2.0, 0.19, 0.52, 0.42, 600.0, 1.2),
-    (True, 6.0, 0.44, 0.49, 0.14, 196.0, 1.7),
-    (False, 1.0, 0.44, 2.05, 0.02, 286.0, 1.9),
-    (False, 0.6, 0.51, 0.36, 0.18, 195.0, 3.8),
-    (False, 2.1, 0.33, 3.74, 0.09, 429.0, 1.2),
-    (False, 0.9, 0.15, 0.7, 0.03, 85.0, 134.7),
-    (False, 1.0, 0.3, 0.57, 0.03, 157.0, 8.9),
-    (False, 1.0, 0.25, 1.58, 0.14, 404.0, 1.2),
-    (False, 2.0, 0.95, 0.51, 0.06, 88.0, 2.5),
-    (False, 7.5, 0.71, 0.58, 0.06, 323.0, 1.4),
-    (False, 1.0, 0.29, 1.06, 0.04, 205.0, 10.4),
-    (False, 2.1, 0.42, 1.36, 0.73, 395.0, 4.8),
-    (False, 1.7, 0.65, 1.17, 0.18, 411.0, 26.0),
-    (False, 1.0, 0.22, 0.18, 0.08, 71.0, 4.5),
+    (True, 2.1, 0.4, 0.63, 0.13, 600.0, 3.0, 1.2),
+    (True, 2.0, 0.25, 0.45, 0.49, 600.0, 4.6, 1.2),
+    (True, 2.1, 0.35, 0.91, 0.3, 600.0, 3.0, 1.2),
+    (True, 1.0, 0.08, 0.11, 0.01, 81.0, 0.4, 20.7),
+    (True, 1.0, 0.03, 0.07, 0.02, 117.0, 1.3, 91.6),
+    (True, 2.0, 0.03, 1.1, 0.18, 600.0, 4.6, 1.2),
+    (True, 1.0, 0.08, 0.11, 0.1, 495.0, 2.3, 22.2),
+    (True, 1.9, 0.62, 0.63, 0.37, 600.0, 3.0, 1.2),
+    (True, 0.9, 0.12, 0.2, 0.03, 75.0, 1.6, 2.9),
+    (True, 1.0, 0.06, 0.08, 0.03, 124.0, 1.7, 84.5),
+    (True, 1.0, 0.08, 0.29, 0.03, 345.0, 2.0, 4.8),
+    (True, 3.0, 0.62, 0.32, 0.08, 90.0, 0.9, 2.6),
+    (False, 0.9, 0.22, 0.45, 0.01, 108.0, 1.2, 2.2),
+    (False, 4.0, 0.88, 1.03, 0.08, 144.0, 2.2, 2.0),
+    (False, 0.8, 0.44, 1.41, 0.08, 192.0, 1.7, 3.1),
+    (False, 0.7, 0.63, 0.91, 0.39, 252.0, 1.6, 2.2),
+    (False, 0.5, 1.18, 0.68, 0.08, 272.0, 1.6, 1.7),
+    (False, 0.7, 0.43, 1.65, 0.45, 102.0, 1.3, 2.1),
+    (False, 3.9, 0.31, 3.42, 0.14, 393.0, 3.7, 1.3),
+    (False, 4.5, 0.49, 0.7, 0.05, 192.0, 3.0, 1.5),
+    (False, 0.8, 0.23, 0.42, 0.01, 45.0, 1.0, 4.3),
+    (False, 1.1, 0.32, 2.06, 0.1, 598.0, 1.0, 1.1),
+    (False, 1.0, 0.25, 0.33, 0.12, 185.0, 1.3, 56.9),
+    (False, 1.1, 0.71, 0.31, 0.13, 157.0, 0.8, 4.7),
 ]
-"""Right or not; vote, curvature misfit, metres apart, difference in height, length, places: doubtful cases of
-development roads, both kinds as often."""
+"""Right or not; vote, curvature misfit, metres apart, difference in height, length, angle turned, places: doubtful
+cases of development roads, both kinds as often."""
 
 
 def loss(weights: Weights) -> float:
     """Return minus the mean logarithm of the probability given to what was the case."""
     total = 0.0
-    for right, vote, curvature, lateral, height, length, places in MEASURED:
-        seen = (1.0, vote, *np.log([curvature + 0.02, lateral + 0.1, height + 0.05, length, places]))
+    for right, vote, curvature, lateral, height, length, turned, places in MEASURED:
+        seen = (1.0, vote, *np.log([curvature + 0.02, lateral + 0.1, height + 0.05, length, turned, places]))
         log_odds = float(np.dot(weights, seen))
         total += float(np.logaddexp(0.0, -log_odds if right else log_odds))
     return total / len(MEASURED)
@@ -134,9 +135,9 @@ def test_no_two_weights_are_exchanged(weights):
 @pytest.mark.parametrize("with_height", [True, False])
 def test_each_weight_meets_what_it_is_named_for(with_height):
     weights = SPATIAL_WEIGHTS if with_height else PLANE_WEIGHTS
-    for right, vote, curvature, lateral, height, length, places in MEASURED:
-        evidence = Evidence(vote, curvature, lateral, height if with_height else None, length, places, 1.0)
-        seen = (1.0, vote, *np.log([curvature + 0.02, lateral + 0.1, height + 0.05, length, places]))
+    for right, vote, curvature, lateral, height, length, turned, places in MEASURED:
+        evidence = Evidence(vote, curvature, lateral, height if with_height else None, length, turned, places, 1.0)
+        seen = (1.0, vote, *np.log([curvature + 0.02, lateral + 0.1, height + 0.05, length, turned, places]))
         # Without heights their weight is zero.
         assert evidence.log_odds == pytest.approx(float(np.dot(weights, seen))), right
 
