@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.vehicle_client.synthetic import clock_s, drive_over, road, s_turn
+from tests.vehicle_client.synthetic import bump, clock_s, drive_over, road, s_turn
 from vehicle_client.mapmatch.alignment import (
     CANDIDATES_COUNT,
     alignments,
@@ -119,3 +119,39 @@ def test_a_sliding_car_lies_on_the_map_by_its_course():
     assert places[0].residual_rms_rad > 0.02
     assert places[1].residual_rms_rad < 0.004
     assert places[1].shift_m == pytest.approx(80.0, abs=1.0)
+
+
+def test_what_the_car_points_into_its_bends_is_told_from_a_shift_where_its_speed_changes():
+    trace, _ = drive_over(s_turn, swing_mps=6.0)
+    speed = trace.wheel_speed_mps[:, 2:].mean(axis=1)
+    turned = 0.008 * trace.yaw_rate_radps * speed
+    drive = metred_drive(driven_line(speed, trace.yaw_rate_radps + np.gradient(turned, 0.01)), trace.time_s)
+    assert drive is not None
+    assert best(drive).residual_rms_rad < 0.0045
+
+
+def test_no_odometer_is_more_than_three_percent_off():
+    scales = [best(metred(scale_ratio=ratio)).scale_ratio for ratio in (0.9, 1.1)]
+    assert min(scales) >= 0.97
+    assert max(scales) <= 1.03
+
+
+def test_the_rough_search_finds_a_drive_whose_gyro_drifts():
+    shifts = coarse_shifts_m(metred(approach_m=300.0, exit_m=600.0, drift_radps=0.01), STRETCH)
+    assert np.abs(shifts - 300.0).min() < 20.0
+
+
+def test_the_stated_deviation_is_that_of_the_middle():
+    spots = {}
+    for start_m in (20.0, 170.0):
+
+        def one_bend(station_m, start_m=start_m):
+            return bump(station_m, start_m=start_m, length_m=60.0, peak_1pm=0.02)
+
+        trace, _ = drive_over(one_bend)
+        drive = metred_drive(driven_line(trace.wheel_speed_mps[:, 2], trace.yaw_rate_radps), trace.time_s)
+        section = road(one_bend)
+        assert drive is not None
+        places = alignments(drive, mapped_stretch(section.profile, length_m=section.length_m))
+        spots[start_m] = min(places, key=lambda place: place.residual_rms_rad).position_std_m
+    assert spots[170.0] < spots[20.0]

@@ -6,8 +6,18 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from vehicle_client.mapmatch.evidence import CONFIDENCE_MIN_FRAC, PLANE_WEIGHTS, SPATIAL_WEIGHTS, Evidence, Weights
-from vehicle_client.mapmatch.waypoints import VOTE_MIN, vote_of_waypoints
+from tests.vehicle_client.synthetic import clock_s, drive_over, road, s_turn
+from vehicle_client.mapmatch.alignment import alignments, mapped_stretch, metred_drive
+from vehicle_client.mapmatch.dead_reckoning import DrivenLine, driven_line
+from vehicle_client.mapmatch.evidence import (
+    CONFIDENCE_MIN_FRAC,
+    PLANE_WEIGHTS,
+    SPATIAL_WEIGHTS,
+    Evidence,
+    Weights,
+    evidence_of,
+)
+from vehicle_client.mapmatch.waypoints import VOTE_MIN, section_waypoints, vote_of_waypoints
 
 GOOD = Evidence(
     vote_ratio=1.6,
@@ -149,3 +159,51 @@ def test_the_probability_is_that_of_the_odds():
         assert np.log(frac / (1.0 - frac)) == pytest.approx(evidence.log_odds)
         assert evidence.convincing == (frac >= CONFIDENCE_MIN_FRAC)
     assert replace(GOOD, vote_ratio=-1e4).confidence_frac >= 0.0
+
+
+SECTION = road(s_turn)
+TRACE, _ = drive_over(s_turn)
+SPEED_MPS = TRACE.wheel_speed_mps[:, 2:].mean(axis=1)
+
+
+def shown(line: DrivenLine, section=SECTION, *, length_m=400.0) -> Evidence | None:
+    """Return what the best place of a drive shows."""
+    drive = metred_drive(line, clock_s(len(line.distance_m)))
+    assert drive is not None
+    stretch = mapped_stretch(section.profile, length_m=length_m)
+    place = min(alignments(drive, stretch), key=lambda one: one.residual_rms_rad)
+    return evidence_of(drive, stretch, section_waypoints(section), place)
+
+
+def test_sideslip_that_the_accelerometer_takes_for_a_climb_is_no_difference_in_height():
+    accel_y = TRACE.yaw_rate_radps * SPEED_MPS
+    line = driven_line(SPEED_MPS, TRACE.yaw_rate_radps, None, 0.02 * accel_y**2)
+    climbing = driven_line(SPEED_MPS, TRACE.yaw_rate_radps, None, np.abs(np.sin(np.arange(len(SPEED_MPS)) * 0.002)))
+    as_slid, as_hilly = shown(line), shown(climbing)
+    assert as_slid is not None
+    assert as_hilly is not None
+    assert np.ptp(line.height_m) > 1.0
+    assert as_slid.height_rms_m < 0.1
+    assert as_hilly.height_rms_m > 0.3
+
+
+def test_only_the_waypoints_of_the_stretch_are_asked():
+    line = driven_line(SPEED_MPS, TRACE.yaw_rate_radps)
+    whole, half = shown(line), shown(line, length_m=200.0)
+    assert whole is not None
+    assert half is not None
+    assert half.vote_ratio == pytest.approx(whole.vote_ratio / 2.0, rel=0.2)
+    assert half.turned_rad == pytest.approx(whole.turned_rad / 2.0, rel=0.25)
+
+
+def test_a_longer_drive_has_more_places():
+    near, far = (drive_over(s_turn, approach_m=approach_m)[0] for approach_m in (80.0, 1000.0))
+    seen = [shown(driven_line(one.wheel_speed_mps[:, 2:].mean(axis=1), one.yaw_rate_radps)) for one in (near, far)]
+    assert seen[0] is not None
+    assert seen[1] is not None
+    assert seen[1].places_count - seen[0].places_count == pytest.approx(920.0 / 400.0, abs=0.02)
+
+
+def test_headings_far_apart_show_nothing():
+    hairpin = road(lambda station_m: 6.0 * s_turn(station_m))
+    assert shown(driven_line(SPEED_MPS, -TRACE.yaw_rate_radps), hairpin) is None
