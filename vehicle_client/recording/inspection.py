@@ -30,6 +30,7 @@ from vehicle_client.recording.consistency import (
     relations_of,
     steering_gain_ratio,
 )
+from vehicle_client.recording.signal_mapping import ALL_BITS_SET
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -59,6 +60,15 @@ _ROLL_RADPS = 0.2
 _CLEARLY = 0.2
 _WHEEL_RATIO = (0.9, 1.1)
 _MOVING_MPS = 3.0
+_FAR = {
+    "accel_x_mps2": 15.0,
+    "accel_y_mps2": 15.0,
+    "roll_rate_radps": 3.0,
+    "yaw_rate_radps": 3.0,
+    "steer_rad": 1.0,
+} | dict.fromkeys(WHEEL_COLUMNS, 90.0)
+"""No car is there on a road; one whose unit is wrong may be, but does not leap there."""
+_LEAP_RATIO, _LEAP_COUNT, _USUAL_FRAC = 1.5, 5, 0.98
 _TURNING = ("yaw_rate_radps", "accel_y_mps2", "steer_rad")
 _SIGN_HINT = "has lost its sign: is that a signal of its own? negative_when says which"
 ROLL = "roll rate against change of lateral acceleration"
@@ -125,6 +135,9 @@ def inspect_trace(
     if exchanged:
         for channel in ("accel_x_mps2", "accel_y_mps2"):
             hints[channel].append("forward and lateral acceleration look exchanged: exchange the two signals")
+    for channel in CHANNELS:
+        if channel not in trace.absent and (code := _code_hint(channel, _values(trace, channel)[trace.valid])):
+            hints[channel] = [code]
     backed = _backed(relations, reading)
     findings = []
     for channel in CHANNELS:
@@ -166,7 +179,23 @@ def _figure_hints(figures: tuple[float, float, float, float, float]) -> tuple[st
     return (
         f"only {rate_hz:.0f} values a second" if rate_hz < SLOW_HZ else "",
         f"{invalid_frac:.0%} of it is not there" if invalid_frac > INVALID_LIMIT_FRAC else "",
-        "it never changes; is this the right signal?" if lower == upper else "",
+        "it never changes: is this the right signal?" if lower == upper else "",
+    )
+
+
+def _code_hint(channel: str, values: FloatArray) -> str:
+    """Return what to say of a channel that leaps, within a sample, to where no car takes it."""
+    if len(values) < 2:
+        return ""
+    sizes = np.abs(values)
+    furthest = int(np.argmax(sizes))
+    leaps = np.abs(np.diff(values)) > _LEAP_RATIO * max(float(np.quantile(sizes, _USUAL_FRAC)), 1e-9)
+    around = leaps[max(0, furthest - _LEAP_COUNT) : furthest + _LEAP_COUNT]
+    if sizes[furthest] < _FAR[channel] or not around.any():
+        return ""
+    return (
+        f'leaps to {values[furthest]:.3g}: a number that means "not available"? say it as invalid '
+        f"(perhaps {ALL_BITS_SET}), then inspect again"
     )
 
 
@@ -238,7 +267,7 @@ def _wheel_hints(hints: dict[str, list[str]], blocks: Blocks, reading: Misreadin
     for name in WHEEL_COLUMNS:
         ratio = float(np.median(blocks.columns[name][usual > 0.0] / usual[usual > 0.0])) if (usual > 0.0).any() else 0.0
         if not _WHEEL_RATIO[0] < ratio < _WHEEL_RATIO[1]:
-            hints[name].append(f"{ratio:.2f} times the other wheels; is this the right signal?")
+            hints[name].append(f"{ratio:.2f} times the other wheels: is this the right signal?")
 
 
 def _acceleration_hints(hints: dict[str, list[str]], reading: Misreading) -> None:
@@ -263,7 +292,7 @@ def _steering_hint(gain_ratio: float) -> str:
         return f'looks like the steering wheel\'s angle in degrees: unit = "deg", steering_ratio = {ratio:.1f}, about'
     if _STEERING_OK[0] * _DEG <= gain_ratio <= _STEERING_OK[1] * _DEG:
         return 'looks like degrees: unit = "deg"'
-    return f"{gain_ratio:.2g} times what the curves ask for; check unit and steering_ratio"
+    return f"{gain_ratio:.2g} times what the curves ask for: check unit and steering_ratio"
 
 
 def _misfit_hints(hints: dict[str, list[str]], relations: Mapping[str, Relation], reading: Misreading) -> None:
@@ -279,7 +308,7 @@ def _misfit_hints(hints: dict[str, list[str]], relations: Mapping[str, Relation]
         if abs(misfit) > _MISFIT_LIMITS.get(name, MISFIT_LIMIT):
             channels = WHEEL_COLUMNS if name is SPEED else (channel,)
             for one in channels:
-                hints[one].append(f"{math.exp(misfit):.2g} times {what}; check unit and gain")
+                hints[one].append(f"{math.exp(misfit):.2g} times {what}: check unit and gain")
 
 
 def _stranger_hints(
@@ -302,12 +331,12 @@ def _stranger_hints(
         by_accel = float(np.std(of["accel_y_mps2"] / reading.accel_y_gain)) > _TURNS_MPS2
         curve = relation_between("", of["accel_y_mps2"], speed**2 * of["steer_rad"], tolerance_ratio=1.0)
         if len(weak) == 2 and by_accel and abs(curve.correlation_ratio) > _FOLLOWS:
-            hints["yaw_rate_radps"].append("does not go with steering and lateral acceleration; is it another axis?")
+            hints["yaw_rate_radps"].append("does not go with steering and lateral acceleration: is it another axis?")
         elif len(weak) == 1 and by_yaw:
-            hints[weak.pop()].append("does not go with the yaw rate; is this the right signal?")
+            hints[weak.pop()].append("does not go with the yaw rate: is this the right signal?")
     changes = float(np.std(np.mean([blocks.slopes[name] for name in WHEEL_COLUMNS], axis=0))) / reading.wheels_gain
     if forward and changes > _SPEED_CHANGES_MPS2 and abs(forward.correlation_ratio) < _STRANGE:
-        hints["accel_x_mps2"].append("does not go with the change of speed; is this the right signal?")
+        hints["accel_x_mps2"].append("does not go with the change of speed: is this the right signal?")
 
 
 def _sign_is_lost(channel: str, columns: Mapping[str, FloatArray]) -> bool:

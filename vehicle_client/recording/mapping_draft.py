@@ -43,7 +43,7 @@ class DescribedSignal:
 
 _UNITS = {
     "m/s2": r"m/s(\^|\*\*)?2|m/s²|m/s/s|mps2|m/ss|m_s2|meterperseconsquar\w*",
-    "g": r"g",
+    "g": r"g|forceofgravity\w*",
     "deg/s": r"(°|deg|degs|grad|degree|degrees)(/s|/sec|ps|persec)|degreofarcpersecon\w*",
     "rad/s": r"rad(/s|/sec|ps)",
     "deg": r"°|deg|grad|degree|degrees|degreofarc\w*",
@@ -75,7 +75,7 @@ _NAMES: dict[str, tuple[str, ...]] = {
     ),
     "roll_rate": (r"\b(roll|wank\w*)\b", r"\b(rate|rt|geschw\w*|vel|speed|roll)\b"),
     "yaw_rate": (r"\b(yaw|yawrate|gier\w*|psip|psi)\b",),
-    "steer": (r"\b(steer|steering|strg|lenk\w*|lw|lws|lwi|swa|sas|stw|volant|pinion)\b",),
+    "steer": (r"\b(stee\w*|strg|lenk\w*|lw|lws|lwi|swa|sas|stw|volant|pinion)\b",),
     "wheel_front_left": _corner(_FRONT, _LEFT, "fl|lf|vl|fahrerv"),
     "wheel_front_right": _corner(_FRONT, _RIGHT, "fr|rf|vr"),
     "wheel_rear_left": _corner(_REAR, _LEFT, "rl|lr|hl|bl"),
@@ -91,7 +91,8 @@ _NAMES: dict[str, tuple[str, ...]] = {
 """Words of message and signal that all must be there; the signal's own count twice."""
 _SAID_BY_UNIT = {"m/s2": "acceleration", "g": "acceleration"}
 _UNLIKELY = re.compile(
-    r"\b(offset|bias|min|max|status|stat|valid|validity|qf|q|state|crc|counter|cnt|temp|target|tgt|req|request|desired"
+    r"\b(offset|bias|min|max|status|stat|valid|validity|qf|q|state|crc|counter|cnt|temp|target|tgt|req|rq|request|desired|soll"
+    r"|getriebe|id|ident\w*|init|autohold|hba|hdc|epb|verz"
     r"|des|limit|torque|moment|trq|tq|sign|vz|vorz\w*|pump|lamp|fault|err|dir|direction|ref|raw)\b"
 )
 _RATES = re.compile(r"\b(rate|speed|spd|vel|geschw\w*|velocity)\b")

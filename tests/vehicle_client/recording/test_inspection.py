@@ -117,6 +117,16 @@ def test_a_channel_that_is_another_signal_is_named():
     assert "another axis" in found["yaw_rate_radps"]
 
 
+@pytest.mark.parametrize(("channel", "code"), [("steer_rad", 57.2), ("yaw_rate_radps", 5.7), ("accel_y_mps2", -65.0)])
+def test_a_number_that_means_not_available_is_named_before_anything_else(channel, code):
+    trace = DRIVES["with positions"]
+    values = getattr(trace, channel).copy()
+    values[500:502] = code
+    found = off(replace(trace, **{channel: values}))
+    assert set(found) == {channel}
+    assert "invalid" in found[channel]
+
+
 @pytest.mark.parametrize("name", DRIVES)
 @pytest.mark.parametrize("channel", ["yaw_rate_radps", "steer_rad", "accel_y_mps2"])
 def test_a_channel_without_its_sign_is_named(name, channel):
