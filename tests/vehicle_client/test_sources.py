@@ -189,6 +189,14 @@ def test_before_the_first_whole_row_and_after_the_last_nothing_is_known():
     assert (known.min(), known.max()) == pytest.approx((0.1, 1.88), abs=1e-6)
 
 
+@pytest.mark.parametrize(("late_s", "kept"), [(0.0004, True), (0.0007, False)])
+def test_a_sample_half_a_millisecond_off_the_grid_is_on_it(late_s, kept):
+    time, values = rows()
+    time[200] += late_s
+    trace = trace_of_samples(time, values)
+    assert (trace.accel_x_mps2[200] == values[200, 0]) is np.bool_(kept)
+
+
 def test_jitter_is_no_gap():
     time, values = rows()
     time = time + np.random.default_rng(1).uniform(-0.003, 0.003, len(time))

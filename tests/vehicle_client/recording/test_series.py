@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from roadgrip.errors import TraceError
 from vehicle_client.recording.channels import CHANNELS
+from vehicle_client.recording.own_columns import GNSS_ACCURACY_M
 from vehicle_client.recording.series import Series, count_of, trace_of_series
 
 SLOPES = {name: 0.5 + 0.1 * i for i, name in enumerate(CHANNELS)}
@@ -175,3 +176,64 @@ def test_a_channel_is_counted():
     assert (count.values_count, count.invalid_count, count.repeated_count) == (4, 1, 0)
     assert (count.lower, count.upper) == (1.0, 3.0)
     assert (count.step_s, count.longest_gap_s) == pytest.approx((0.01, 0.48))
+
+
+def with_channel(name, time_s):
+    return drive(duration_s=4.0, jitter_s=0.0) | {name: Series(np.asarray(time_s), line(name, np.asarray(time_s)))}
+
+
+@pytest.mark.parametrize(("step_s", "gap_s", "bridged"), [(0.12, 0.24, True), (0.12, 0.27, False), (0.02, 0.06, False)])
+def test_a_gap_is_bridged_up_to_two_and_a_half_steps_and_a_quarter_of_a_second(step_s, gap_s, bridged):
+    time_s = np.arange(0.0, 4.0, step_s)
+    time_s = np.concatenate([time_s[time_s < 2.0], time_s[time_s < 2.0][-1] + gap_s + np.arange(0.0, 1.9, step_s)])
+    aligned = trace_of_series(with_channel("steer_rad", time_s))
+    between = (aligned.trace.time_s < time_s[-1]) & ~aligned.covered["steer_rad"]
+    assert (not between.any()) is bridged
+
+
+def test_before_its_first_value_and_after_its_last_a_channel_is_not_known():
+    aligned = trace_of_series(with_channel("steer_rad", np.arange(0.5, 3.0, 0.01)))
+    assert aligned.trace.time_s[0] == 0.0
+    covered_s = aligned.trace.time_s[aligned.covered["steer_rad"]]
+    assert (covered_s[0], covered_s[-1]) == pytest.approx((0.5, 2.99))
+
+
+def test_a_flag_stamped_a_little_after_a_sample_is_that_samples():
+    for late_s, first in ((0.0004, 50), (0.0006, 51)):
+        flag = {"abs_active": Series(np.array([0.5 + late_s]), np.array([1.0]))}
+        active = trace_of_series(drive(jitter_s=0.0) | flag).trace.stability_active
+        assert active is not None
+        assert np.flatnonzero(active)[0] == first
+
+
+@pytest.mark.parametrize(("late_s", "fix"), [(0.045, True), (0.055, False)])
+def test_latitude_and_longitude_are_one_fix_within_fifty_milliseconds(late_s, fix):
+    fixes = {
+        "lat_deg": Series(np.array([1.0]), np.array([60.0])),
+        "lon_deg": Series(np.array([1.0 + late_s]), np.ones(1)),
+    }
+    assert (trace_of_series(drive() | fixes).trace.gnss is not None) is fix
+
+
+@pytest.mark.parametrize(("lat_deg", "lon_deg"), [(90.5, 10.0), (-91.0, 10.0), (60.0, 181.0), (60.0, -655.35)])
+def test_a_place_that_is_not_on_earth_is_no_fix(lat_deg, lon_deg):
+    fixes = {"lat_deg": Series(np.ones(1), np.array([lat_deg])), "lon_deg": Series(np.ones(1), np.array([lon_deg]))}
+    assert trace_of_series(drive() | fixes).trace.gnss is None
+
+
+@pytest.mark.parametrize(("step_s", "kept_count"), [(0.9, 1), (1.1, 4)])
+def test_a_place_told_again_after_a_second_is_a_fix_again(step_s, kept_count):
+    at_s = step_s * np.arange(4)
+    fixes = {"lat_deg": Series(at_s, np.full(4, 60.0)), "lon_deg": Series(at_s, np.full(4, 10.0))}
+    gnss = trace_of_series(drive(duration_s=4.0) | fixes).trace.gnss
+    assert gnss is not None
+    assert len(gnss.time_s) == kept_count
+
+
+@pytest.mark.parametrize(("late_s", "told"), [(1.4, True), (1.6, False)])
+def test_what_is_said_of_a_fix_may_be_a_second_and_a_half_away(late_s, told):
+    fixes = {name: Series(np.ones(1), np.array([value])) for name, value in (("lat_deg", 60.0), ("lon_deg", 10.0))}
+    fixes["gnss_accuracy_m"] = Series(np.array([1.0 + late_s]), np.array([1.25]))
+    gnss = trace_of_series(drive() | fixes).trace.gnss
+    assert gnss is not None
+    assert gnss.accuracy_m[0] == (1.25 if told else GNSS_ACCURACY_M)
