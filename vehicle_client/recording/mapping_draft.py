@@ -43,7 +43,7 @@ class DescribedSignal:
 
 _UNITS = {
     "m/s2": r"m/s(\^|\*\*)?2|m/s²|m/s/s|mps2|m/ss|m_s2|meterperseconsquar\w*",
-    "g": r"g|forceofgravity\w*",
+    "g": r"g|forceofgravi\w*",
     "deg/s": r"(°|deg|degs|grad|degree|degrees)(/s|/sec|ps|persec)|degreofarcpersecon\w*",
     "rad/s": r"rad(/s|/sec|ps)",
     "deg": r"°|deg|grad|degree|degrees|degreofarc\w*",
@@ -75,7 +75,7 @@ _NAMES: dict[str, tuple[str, ...]] = {
     ),
     "roll_rate": (r"\b(roll|wank\w*)\b", r"\b(rate|rt|geschw\w*|vel|speed|roll)\b"),
     "yaw_rate": (r"\b(yaw|yawrate|gier\w*|psip|psi)\b",),
-    "steer": (r"\b(stee\w*|strg|lenk\w*|lw|lws|lwi|swa|sas|stw|volant|pinion)\b",),
+    "steer": (r"\b(ste|stee\w*|strg|lenk\w*|lw|lws|lwi|swa|sas|stw|volant|pinion)\b",),
     "wheel_front_left": _corner(_FRONT, _LEFT, "fl|lf|vl|fahrerv"),
     "wheel_front_right": _corner(_FRONT, _RIGHT, "fr|rf|vr"),
     "wheel_rear_left": _corner(_REAR, _LEFT, "rl|lr|hl|bl"),
