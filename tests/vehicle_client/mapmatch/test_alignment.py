@@ -131,9 +131,9 @@ def test_what_the_car_points_into_its_bends_is_told_from_a_shift_where_its_speed
 
 
 def test_no_odometer_is_more_than_three_percent_off():
-    scales = [best(metred(scale_ratio=ratio)).scale_ratio for ratio in (0.9, 1.1)]
-    assert min(scales) >= 0.97
-    assert max(scales) <= 1.03
+    scales = [best(metred(scale_ratio=ratio)).scale_ratio for ratio in (0.85, 1.15)]
+    assert min(scales) == pytest.approx(0.97)
+    assert max(scales) == pytest.approx(1.03)
 
 
 def test_the_rough_search_finds_a_drive_whose_gyro_drifts():
