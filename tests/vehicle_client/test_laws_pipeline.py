@@ -85,8 +85,8 @@ def test_a_trace_is_only_read_and_says_the_same_twice():
 
 @pytest.mark.parametrize(("from_s", "before_end_s"), [(2.0, 0.0), (6.0, 5.0), (12.0, 5.0)])
 def test_where_the_trace_was_cut_does_not_matter(from_s, before_end_s):
-    # Eight seconds of approach instead of twenty: how well the offsets are known differs, and the excess yaw rate of a car
-    # that does not slide is hardly more than they are. Measured: 0.0002, 0.003, 0.012, 0.04, 6e-6.
+    # Eight seconds of approach instead of twenty: how well the offsets are known differs, and the excess yaw rate of
+    # a car that does not slide is hardly more than they are. Measured: 0.0002, 0.003, 0.012, 0.04, 6e-6.
     cut = part_of(TRACE, from_s=from_s, to_s=float(TRACE.time_s[-1]) - before_end_s)
     assert (moved(cut, reference=table(TRACE)) < [0.001, 0.02, 0.03, 0.1, 1e-4]).all()
 

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from roadgrip.order_statistics import median
 from roadgrip.units import GRAVITY_MPS2, SAMPLE_S
 from vehicle_client.recording.channels import SENSOR_COLUMNS, WHEEL_COLUMNS
 
@@ -356,5 +357,5 @@ def _relations_to_positions(blocks: Blocks, trace: Trace) -> dict[str, Relation]
 
 def _through_zero(name: str, y: FloatArray, x: FloatArray, *, tolerance_ratio: float) -> Relation:
     """Return how a quantity that is never negative goes with another of the kind: their zeros are the same."""
-    gain = float(np.median(y) / np.median(x)) if np.median(x) > 0.0 else 0.0
+    gain = median(y) / median(x) if median(x) > 0.0 else 0.0
     return Relation(name, gain, 1.0 if gain else 0.0, tolerance_ratio)

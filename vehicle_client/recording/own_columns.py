@@ -49,7 +49,7 @@ def trace_of_columns(columns: Mapping[str, FloatArray], *, place: str) -> Trace:
     return trace_of_samples(
         time,
         np.column_stack([columns[name] for name in CHANNELS]),
-        stability_active=None if active is None else np.nan_to_num(active) > 0.5,
+        stability_active=None if active is None else active > 0.5,
         gnss=_gnss_of(columns, time),
     )
 

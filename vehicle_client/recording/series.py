@@ -226,7 +226,7 @@ def _held(flag: Series, time_s: FloatArray) -> BoolArray:
     at = np.searchsorted(flag.time_s, time_s + ON_GRID_S, side="right") - 1
     told = np.clip(at, 0, None)
     fresh = (at >= 0) & (time_s - flag.time_s[told] <= FLAG_LIMIT_S)
-    return np.asarray(fresh & (np.nan_to_num(flag.values[told]) > 0.5))
+    return np.asarray(fresh & (flag.values[told] > 0.5))
 
 
 def _fixes(series: Mapping[str, Series]) -> GnssTrack | None:

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from roadgrip.errors import TraceError
-from tests.vehicle_client.synthetic import motion
+from tests.vehicle_client.synthetic import clock_s, motion
 from vehicle_client.estimation.trace import GnssTrack, Trace, mirrored, part_of
 
 N = 1000
 
 
 def drive(*, start_s: float = 0.0) -> Trace:
-    time_s = start_s + 0.01 * np.arange(N)
+    time_s = start_s + clock_s(N)
     fixes_s = time_s[::100]
     gnss = GnssTrack(fixes_s, 60.0 + 0.0 * fixes_s, 10.0 + 0.0 * fixes_s, 1.0 + 0.0 * fixes_s, speed_mps=fixes_s)
     trace = motion(np.full(N, 15.0), 0.2 * np.sin(time_s))
