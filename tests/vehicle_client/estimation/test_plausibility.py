@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.vehicle_client.synthetic import drive_over, s_turn, with_noise
-from vehicle_client.estimation.plausibility import Sensor, findings
+from tests.vehicle_client.synthetic import drive_over, motion, s_turn, with_noise
+from vehicle_client.estimation.plausibility import Finding, Sensor, findings
 from vehicle_client.estimation.trace import Trace, mirrored
 from vehicle_client.estimation.vehicle_geometry import XC90
 
@@ -159,3 +159,70 @@ def test_a_channel_of_a_turned_sensor_that_freezes_does_not_live_by_the_others()
     speed, to_s = TRACE.wheel_speed_mps.mean(axis=1), float(TRACE.time_s[EXIT - 1])
     found = findings(frozen, speed, from_s=float(TRACE.time_s[ENTRY]), to_s=to_s, vehicle=vehicle)
     assert any(finding.grave and "frozen" in finding.what for finding in found)
+
+
+def told(trace: Trace, words: str) -> list[Finding]:
+    return [finding for finding in of(trace) if words in finding.what]
+
+
+@pytest.mark.parametrize(("force_mps2", "doubt", "fault"), [(2.1, False, False), (2.3, True, False), (4.1, True, True)])
+def test_a_force_that_no_bend_explains_is_first_doubted_and_then_blamed(force_mps2, doubt, fault):
+    pushed = LATER & (np.arange(TRACE.samples_count) < MIDDLE + 250)
+    (found,) = told(replace(TRACE, accel_y_mps2=TRACE.accel_y_mps2 + force_mps2 * pushed), "no bend explains")
+    assert (found.doubtful, found.grave) == (doubt, fault)
+
+
+def test_a_gyro_that_wanders_is_doubted_and_is_then_no_witness_against_others():
+    noise = np.convolve(np.random.default_rng(1).normal(0.0, 1.0, TRACE.samples_count), np.ones(100) / 10.0, "same")
+    wandering = replace(TRACE, yaw_rate_radps=TRACE.yaw_rate_radps + 0.12 * noise)
+    assert doubted(wandering) == {Sensor.GYRO}
+    assert blamed(wandering) == set()
+
+
+def test_the_wheels_of_a_tight_circle_agree_though_each_has_its_own_speed():
+    n = 1000
+    for yaw_rate_radps in (0.5, -0.5):
+        trace = motion(np.full(n, 5.0), np.full(n, yaw_rate_radps))
+        found = findings(trace, np.full(n, 5.0), from_s=0.0, to_s=10.0, vehicle=XC90)
+        assert [f.found_value for f in found if f.sensor is Sensor.WHEELS] == [0.0]
+
+
+def test_outer_tyres_that_are_pressed_flat_at_speed_make_no_gyro_doubtful():
+    # They tell a third more of turning at 25 m/s; so does the steering of a car that slides over its front wheels.
+    trace, _ = drive_over(s_turn, speed_mps=25.0)
+    pressed = 0.001 * trace.accel_y_mps2 / 2.0
+    wheels = trace.wheel_speed_mps * (1.0 + pressed[:, None] * [-1.0, 1.0, -1.0, 1.0])
+    sliding = replace(trace, wheel_speed_mps=wheels, steer_rad=1.3 * trace.steer_rad, absent=("accel_y_mps2",))
+    found = findings(sliding, np.full(trace.samples_count, 25.0), from_s=3.0, to_s=18.0, vehicle=XC90)
+    assert not [str(f) for f in found if f.doubtful and f.sensor is Sensor.GYRO]
+    assert any("more or less" in f.what for f in found)
+
+
+def test_a_steering_that_rests_while_the_car_turns_is_a_fault_of_its_own():
+    frozen = np.where(LATER, TRACE.steer_rad[MIDDLE], TRACE.steer_rad)
+    (found,) = told(replace(TRACE, steer_rad=frozen), "rests")
+    assert found.grave
+
+
+def test_one_sample_of_the_steering_that_strays_is_no_jump():
+    at = np.arange(TRACE.samples_count) == MIDDLE
+    assert doubted(replace(TRACE, steer_rad=TRACE.steer_rad + 0.04 * at)) == set()
+
+
+@pytest.mark.parametrize(("before_s", "seen"), [(2.5, True), (3.5, False)])
+def test_three_seconds_around_the_section_are_looked_at(before_s, seen):
+    at = np.arange(TRACE.samples_count) // 2 == (ENTRY - round(before_s / 0.01)) // 2
+    assert (blamed(replace(TRACE, steer_rad=TRACE.steer_rad + 0.04 * at)) == {Sensor.STEERING}) is seen
+
+
+def test_a_steering_that_catches_up_after_the_whole_network_rested_did_not_jump():
+    turned = np.abs(TRACE.steer_rad[ENTRY + 100 : EXIT] - TRACE.steer_rad[ENTRY : EXIT - 100])
+    start = ENTRY + int(np.argmax(turned))
+    assert turned.max() > 0.018
+    rows = np.arange(TRACE.samples_count)
+    rows[start : start + 100] = start
+    names = ("accel_x_mps2", "accel_y_mps2", "roll_rate_radps", "yaw_rate_radps", "steer_rad", "wheel_speed_mps")
+    (found,) = told(replace(TRACE, **{name: getattr(TRACE, name)[rows] for name in names}), "jumps")
+    assert not found.doubtful
+    (found,) = told(replace(TRACE, steer_rad=TRACE.steer_rad[rows]), "jumps")
+    assert found.grave
