@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
 from roadgrip.units import PASCAL_PER_BAR
 from vehicle_client.cli_options import DEFAULT_UNIT, AsJson, BaseFriction, Section, Seed, Sensors, Unit, road_of
@@ -63,6 +62,8 @@ def drive(  # noqa: PLR0917 - typer reads options by name
     What is left open (wear, speed, the driver's habits) is drawn by the seed. Needs no road side unit, unless the
     section is `rsu:ID`. A car that leaves the road or spins is shown as well, with exit code 0: it was simulated.
     """
+    from rich.console import Console
+
     from roadgrip.units import kph_to_mps
     from vehicle_client.shell.drive_picture import draw_drive
     from vehicle_client.shell.keys import Keys

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
 
 from vehicle_client.cli_options import (
     DEFAULT_UNIT,
@@ -73,6 +72,8 @@ def fleet(  # noqa: PLR0917 - typer reads options by name
     twelve frames. A unit that gets the same seed a second time refuses the passages as replayed, and rightly so.
     Exit code 1 if a summary was refused or never answered.
     """
+    from rich.console import Console
+
     from vehicle_client.shell.fleet import FleetPlan, parse_friction_change
     from vehicle_client.shell.keys import read_keys
     from vehicle_client.shell.uplink import AirFaults, parse_unit_address
@@ -102,6 +103,8 @@ def fleet(  # noqa: PLR0917 - typer reads options by name
 
 
 async def _run_fleet(plan: FleetPlan, address: UnitAddress, keys: Keys, spool: Path | None) -> FleetReport:
+    from rich.console import Console
+
     from vehicle_client.pipeline import summarise_passage
     from vehicle_client.shell.fleet import FleetTools, run_fleet, simulator
     from vehicle_client.shell.uplink import uplinks_to

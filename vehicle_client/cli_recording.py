@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
 
 from roadgrip.errors import ConfigurationError
 from vehicle_client.cli_options import (
@@ -64,6 +63,8 @@ def replay(  # noqa: PLR0917 - typer reads options by name
     has a newer map, that one is fetched and the recording summarised again. Exit code 1 if there is no passage in the
     recording, or the unit does not acknowledge it.
     """
+    from rich.console import Console
+
     from vehicle_client.estimation.trace import part_of
     from vehicle_client.shell.keys import read_keys
     from vehicle_client.shell.replay import replay_table, replay_to_json, summarise_recording
@@ -148,6 +149,8 @@ def inspect(
     steering with the curve, forward acceleration with the change of speed, all of them with positions. A few minutes
     with some curves are best. Exit code 1 if something is off; the hint says what to write into the mapping.
     """
+    from rich.console import Console
+
     from vehicle_client.recording.inspection import inspect_trace
     from vehicle_client.shell.inspected import findings_table, findings_to_json, hints_of, something_is_off
 
@@ -214,6 +217,8 @@ def _read(path: Path, recorded: RecordedAs) -> RecordedDrive:
 @contextmanager
 def _progress(path: Path) -> Iterator[Callable[[int, float], None]]:
     """Show on standard error how far the reading of a long log is; nothing where no one looks."""
+    from rich.console import Console
+
     with Console(stderr=True).status(f"reading {path.name}") as status:
         yield lambda frames_count, _: status.update(f"reading {path.name}: {frames_count} frames")
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from rich.table import Table
 
 from roadgrip.features import KINEMATIC_FEATURES
 from roadgrip.records import PASSAGE_ID_BYTES, Accepted, Reason, Rejected
@@ -22,6 +21,8 @@ from vehicle_client.vehicle_profile import PAPER_VEHICLE, VehicleProfile
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+    from rich.table import Table
 
     from roadgrip.section import RoadSection
     from vehicle_client.estimation.trace import Trace
@@ -176,6 +177,8 @@ def replay_to_json(replay: Replay) -> dict[str, Any]:
 
 def replay_table(replay: Replay) -> Table:
     """Return the replay as a table for a person."""
+    from rich.table import Table
+
     table = Table("what", "value", title="The recording", title_justify="left", show_header=False)
     made, record = replay.made, replay.record
     if isinstance(made, Rejected):

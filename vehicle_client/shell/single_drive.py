@@ -8,7 +8,6 @@ from enum import StrEnum
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from rich.table import Table
 
 from roadgrip.errors import ConfigurationError
 from roadgrip.records import Rejected
@@ -31,6 +30,8 @@ from vehicle_client.simulator.plan import (
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+    from rich.table import Table
 
     from roadgrip.section import RoadSection
     from roadgrip.units import BoolArray
@@ -249,6 +250,8 @@ def single_drive_to_json(driven: SingleDrive) -> dict[str, Any]:
 
 def single_drive_table(driven: SingleDrive, section: RoadSection) -> Table:
     """Return the drive as a table for a person."""
+    from rich.table import Table
+
     drive, made = driven.drive, driven.made
     plan, truth = drive.plan, drive.truth
     speed = truth.velocity_x_mps

@@ -5,9 +5,6 @@ from __future__ import annotations
 from dataclasses import asdict, fields
 from typing import TYPE_CHECKING, Any, Self
 
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-from rich.table import Table
-
 from roadgrip.records import VEHICLE_FRAME_BUDGET, Accepted, Advisory
 from roadgrip.units import mps_to_kph
 from vehicle_client.shell.fleet_events import FleetReady, PassageEnded, VehicleEntered
@@ -16,6 +13,7 @@ if TYPE_CHECKING:
     from types import TracebackType
 
     from rich.console import Console
+    from rich.table import Table
 
     from vehicle_client.shell.fleet_events import FleetEvent, FleetReport
 
@@ -25,6 +23,15 @@ class FleetProgress:
 
     def __init__(self, console: Console, *, vehicles_count: int) -> None:
         """Prepare a bar for so many vehicles; on a console that is no terminal nothing is drawn."""
+        from rich.progress import (
+            BarColumn,
+            MofNCompleteColumn,
+            Progress,
+            SpinnerColumn,
+            TextColumn,
+            TimeElapsedColumn,
+        )
+
         self._progress = Progress(
             SpinnerColumn(),
             TextColumn("{task.description}"),
@@ -93,6 +100,8 @@ def fleet_report_to_json(report: FleetReport) -> dict[str, Any]:
 
 def fleet_report_table(report: FleetReport) -> Table:
     """Return the account as a table for a person."""
+    from rich.table import Table
+
     table = Table("what", "count", "detail", title="The fleet's account", title_justify="left")
     table.add_row("vehicles", str(report.vehicles_count), _listed(report.drives))
     table.add_row("acknowledged", str(report.accepted_count), f"{report.counted_count} of them counted in the window")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
@@ -68,7 +68,14 @@ class SampleRing:
             duration_s: What is kept at 100 values a second; a channel that speaks faster is kept for less long.
         """
         self._duration_s = duration_s
-        self._channels = {name: _Ring(round(duration_s * SLOWER_HZ.get(name, SENSOR_HZ))) for name in SERIES_CHANNELS}
+        self._channels = {
+            name: _Ring(
+                round(duration_s * SLOWER_HZ.get(name, SENSOR_HZ)),
+                # Seven digits hold what a sensor resolves; a position needs more, and so does time.
+                values_of=np.float64 if name in FIX_CHANNELS else np.float32,
+            )
+            for name in SERIES_CHANNELS
+        }
         self._travelled = _Ring(round(duration_s * FIX_HZ))
         self._driven_m = 0.0
         self._wheels_s = -np.inf
@@ -177,9 +184,10 @@ def trace_of(recorded: Recorded) -> Trace | None:
 class _Ring:
     """Values with increasing times; the oldest make room."""
 
-    def __init__(self, capacity_count: int) -> None:
+    def __init__(self, capacity_count: int, *, values_of: type[np.floating[Any]] = np.float64) -> None:
         self._capacity_count = capacity_count
-        self._time_s = self._values = np.zeros(0)
+        self._time_s = np.zeros(0)
+        self._values = np.zeros(0, dtype=values_of)
         self._next = 0
         self._count = 0
 
@@ -189,7 +197,7 @@ class _Ring:
 
     @property
     def limit_bytes(self) -> int:
-        return 2 * 8 * self._capacity_count
+        return (self._time_s.itemsize + self._values.itemsize) * self._capacity_count
 
     @property
     def last_s(self) -> float:
@@ -206,7 +214,7 @@ class _Ring:
         if len(self._time_s) == 0:
             # Written at once, so that the memory is really there and a long drive holds no surprise.
             self._time_s = np.full(capacity, -np.inf)
-            self._values = np.full(capacity, np.nan)
+            self._values = np.full(capacity, np.nan, dtype=self._values.dtype)
         time_s, values = series.time_s[-capacity:], series.values[-capacity:]
         at = (self._next + np.arange(len(time_s))) % capacity
         self._time_s[at] = time_s
@@ -222,4 +230,4 @@ class _Ring:
         first, end = np.searchsorted(time_s, [since_s, until_s], side="left")
         # The value at the end itself belongs to it.
         chosen = order[first : end + 1] if end < len(order) and time_s[end] == until_s else order[first:end]
-        return Series(self._time_s[chosen], self._values[chosen])
+        return Series(self._time_s[chosen], self._values[chosen].astype(np.float64))
