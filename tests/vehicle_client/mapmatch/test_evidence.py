@@ -207,3 +207,11 @@ def test_a_longer_drive_has_more_places():
 def test_headings_far_apart_show_nothing():
     hairpin = road(lambda station_m: 6.0 * s_turn(station_m))
     assert shown(driven_line(SPEED_MPS, -TRACE.yaw_rate_radps), hairpin) is None
+
+
+def test_metres_apart_are_metres():
+    # A heading that swings by 0.03 rad every 60 m: 0.29 m to and fro, 0.2 m root mean square.
+    swing = 0.03 * np.sin(2.0 * np.pi * np.cumsum(SPEED_MPS) * 0.01 / 60.0)
+    seen = shown(driven_line(SPEED_MPS, TRACE.yaw_rate_radps + np.gradient(swing, 0.01)))
+    assert seen is not None
+    assert seen.lateral_rms_m == pytest.approx(0.2, rel=0.2)
