@@ -9,7 +9,7 @@ from roadgrip.records import Reason, Rejected
 from tests.vehicle_client.synthetic import clock_s, drive_over, fixes_of, negative, road, s_turn, surveyed
 from vehicle_client.estimation.trace import GnssTrack
 from vehicle_client.mapmatch.dead_reckoning import driven_line
-from vehicle_client.mapmatch.gnss import match_by_gnss, positions_usable
+from vehicle_client.mapmatch.gnss import match_by_gnss, positions_usable, readable_fixes
 from vehicle_client.mapmatch.match import MatchMethod, SectionMatch
 
 SECTION = surveyed(road(s_turn))
@@ -140,3 +140,13 @@ def test_of_two_passages_one_is_matched():
 def test_few_noisy_fixes_do_not_bend_the_odometer():
     track = fixes(noise_m=4.0, keep=lambda s: (s > 130.0) & (s < 270.0))
     assert np.abs(found(matched(track)).station_m - STATION).max() < 2.0
+
+
+def test_fixes_that_go_back_in_time_are_left_out():
+    track = fixes()
+    time_s = track.time_s.copy()
+    time_s[5] = time_s[4]
+    time_s[9] = time_s[6]
+    kept = readable_fixes(replace(track, time_s=time_s))
+    assert (np.diff(kept.time_s) > 0.0).all()
+    assert len(kept.time_s) == len(time_s) - 2
