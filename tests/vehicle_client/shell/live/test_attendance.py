@@ -14,8 +14,8 @@ from roadgrip.records import Advisory, Passage, Reason, Rejected
 from roadgrip.section import RoadSection
 from tests.vehicle_client.shell.air import ADVICE, BEND, SUMMARY, Ether, TokenCodec, Unit
 from tests.vehicle_client.shell.cars import WireToUnit
-from vehicle_client.shell.exchange import Ending, FrameCodec, Patience
-from vehicle_client.shell.live.attendance import Attendance, Nothing, Report, Tools
+from vehicle_client.shell.exchange import Ending, Exchange, FrameCodec, Patience
+from vehicle_client.shell.live.attendance import Attendance, Nothing, Report, Tools, send_spooled
 from vehicle_client.shell.spool import BootClock, Spool, SpoolError
 from vehicle_client.shell.uplink import UnitAddress, Uplink
 
@@ -291,5 +291,29 @@ def test_frames_are_written_down_as_spent_before_the_first_leaves(tmp_path: Path
         running.cancel()
         with pytest.raises(asyncio.CancelledError):
             await running
+
+    asyncio.run(story())
+
+
+def test_a_summary_from_the_spool_has_spent_its_frames_before_the_first_leaves(tmp_path: Path):
+    async def story() -> None:
+        scene = Scene(tmp_path, lost=(Passage,))
+        scene.around.in_reach = False
+        one = scene.attendance()
+        running = asyncio.create_task(one.run())
+        one.settle(scene.report())
+        await running
+        (entry,) = scene.spool.waiting()
+        codec = TokenCodec(scene.ether)
+        exchange = Exchange(passage_id=entry.passage_id, section_id="bend", codec=codec)
+        sending = asyncio.create_task(
+            send_spooled(entry, exchange, scene.around.wire, scene.tools, map_version=BEND.version, left_at_s=0.0)
+        )
+        await until(lambda: scene.around.wire.sent)
+        (held,) = scene.spool.waiting()
+        assert held.frames_spent_count == Patience().report_tries_count
+        sending.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await sending
 
     asyncio.run(story())
