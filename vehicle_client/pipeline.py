@@ -19,7 +19,7 @@ from vehicle_client.estimation.summary import KinematicSignals, kinematic_summar
 from vehicle_client.estimation.vehicle_geometry import XC90, VehicleGeometry
 from vehicle_client.estimation.vertical import vertical_velocity_mps
 from vehicle_client.estimation.wheel_speed import encoder_speed_mps
-from vehicle_client.mapmatch.dead_reckoning import driven_line, with_course
+from vehicle_client.mapmatch.driven_line import driven_line, with_course
 from vehicle_client.mapmatch.match import MatchMethod, SectionMatch
 from vehicle_client.mapmatch.placing import placed
 

@@ -19,7 +19,7 @@ from vehicle_client.estimation.trace import Trace
 from vehicle_client.estimation.vehicle_geometry import XC90
 from vehicle_client.estimation.vertical import vertical_velocity_mps
 from vehicle_client.estimation.wheel_speed import encoder_speed_mps
-from vehicle_client.mapmatch.dead_reckoning import DrivenLine, driven_line, with_course
+from vehicle_client.mapmatch.driven_line import DrivenLine, driven_line, with_course
 from vehicle_client.pipeline import summarise_passage
 from vehicle_client.simulator.amplitudes import AUTOMOTIVE
 from vehicle_client.simulator.map_error import map_as_surveyed

@@ -6,7 +6,7 @@ from roadgrip.section import RoadSection
 from roadgrip.units import SAMPLE_S
 from tests.replay.recordings import FERRARI, recording
 from vehicle_client.estimation.trace import Trace, part_of
-from vehicle_client.mapmatch.dead_reckoning import DrivenLine, driven_line
+from vehicle_client.mapmatch.driven_line import DrivenLine, driven_line
 from vehicle_client.mapmatch.survey import section_of_line
 from vehicle_client.recording.public import FERRARI_250LM
 

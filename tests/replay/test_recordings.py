@@ -20,7 +20,7 @@ from vehicle_client.estimation.offsets import NO_OFFSETS
 from vehicle_client.estimation.signals import kinematic_signals
 from vehicle_client.estimation.trace import mirrored
 from vehicle_client.estimation.wheel_speed import encoder_speed_mps
-from vehicle_client.mapmatch.dead_reckoning import driven_line
+from vehicle_client.mapmatch.driven_line import driven_line
 from vehicle_client.pipeline import Summarised, summarise_passage
 from vehicle_client.recording.public import IAC_AV21
 

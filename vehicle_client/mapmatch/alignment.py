@@ -21,7 +21,7 @@ from vehicle_client.mapmatch.waypoints import SMOOTHING_M, mean_curvature_1pm
 if TYPE_CHECKING:
     from roadgrip.section import SectionProfile
     from roadgrip.units import FloatArray
-    from vehicle_client.mapmatch.dead_reckoning import DrivenLine
+    from vehicle_client.mapmatch.driven_line import DrivenLine
 
 GRID_M = 1.0
 """Step of the drive's own grid."""

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from roadgrip.section import RoadSection, SectionProfile
     from roadgrip.units import BoolArray, FloatArray
     from vehicle_client.estimation.trace import GnssTrack
-    from vehicle_client.mapmatch.dead_reckoning import DrivenLine
+    from vehicle_client.mapmatch.driven_line import DrivenLine
 
 ACCURACY_LIMIT_M = 25.0
 """Fixes that call themselves worse are left out."""

@@ -17,7 +17,7 @@ from vehicle_client.estimation.plausibility import Finding, Level, Sensor
 if TYPE_CHECKING:
     from roadgrip.section import RoadSection
     from roadgrip.units import FloatArray
-    from vehicle_client.mapmatch.dead_reckoning import DrivenLine
+    from vehicle_client.mapmatch.driven_line import DrivenLine
     from vehicle_client.mapmatch.match import SectionMatch
 
 STRIDE_COUNT = 25

@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from roadgrip.section import RoadSection
     from roadgrip.units import FloatArray
     from vehicle_client.estimation.trace import GnssTrack
-    from vehicle_client.mapmatch.dead_reckoning import DrivenLine
+    from vehicle_client.mapmatch.driven_line import DrivenLine
 
     ComplexArray = NDArray[np.complex128]
 

@@ -10,7 +10,7 @@ from roadgrip.errors import SectionError
 from roadgrip.section import RoadSection, build_section
 
 if TYPE_CHECKING:
-    from vehicle_client.mapmatch.dead_reckoning import DrivenLine
+    from vehicle_client.mapmatch.driven_line import DrivenLine
 
 NODE_STEP_M = 5.0
 

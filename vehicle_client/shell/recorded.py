@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from roadgrip.errors import ConfigurationError
-from vehicle_client.mapmatch.dead_reckoning import DrivenLine, driven_line
+from vehicle_client.mapmatch.driven_line import DrivenLine, driven_line
 from vehicle_client.recording.foreign import Recording
 from vehicle_client.recording.own_columns import trace_of_columns
 from vehicle_client.recording.public import COMMA2K19_RAV4, FERRARI_250LM, IAC_AV21

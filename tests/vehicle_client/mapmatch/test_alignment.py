@@ -14,7 +14,7 @@ from vehicle_client.mapmatch.alignment import (
     metred_drive,
     value_at,
 )
-from vehicle_client.mapmatch.dead_reckoning import driven_line, with_course
+from vehicle_client.mapmatch.driven_line import driven_line, with_course
 
 SECTION = road(s_turn)
 STRETCH = mapped_stretch(SECTION.profile, length_m=SECTION.length_m)

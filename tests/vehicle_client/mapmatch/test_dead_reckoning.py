@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from roadgrip.records import Reason, Rejected
 from roadgrip.section import build_section
 from tests.vehicle_client.synthetic import bump, clock_s, drive_over, negative, road, s_turn
-from vehicle_client.mapmatch.dead_reckoning import driven_line, match_by_dead_reckoning, with_course
+from vehicle_client.mapmatch.dead_reckoning import match_by_dead_reckoning
+from vehicle_client.mapmatch.driven_line import driven_line, with_course
 from vehicle_client.mapmatch.match import MatchMethod, SectionMatch
 
 

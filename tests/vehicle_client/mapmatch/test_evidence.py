@@ -8,7 +8,7 @@ import pytest
 
 from tests.vehicle_client.synthetic import clock_s, drive_over, road, s_turn
 from vehicle_client.mapmatch.alignment import alignments, mapped_stretch, metred_drive
-from vehicle_client.mapmatch.dead_reckoning import DrivenLine, driven_line
+from vehicle_client.mapmatch.driven_line import DrivenLine, driven_line
 from vehicle_client.mapmatch.evidence import (
     CONFIDENCE_MIN_FRAC,
     PLANE_WEIGHTS,

@@ -8,7 +8,7 @@ import pytest
 from roadgrip.records import Reason, Rejected
 from tests.vehicle_client.synthetic import clock_s, drive_over, fixes_of, negative, road, s_turn, surveyed
 from vehicle_client.estimation.trace import GnssTrack
-from vehicle_client.mapmatch.dead_reckoning import driven_line
+from vehicle_client.mapmatch.driven_line import driven_line
 from vehicle_client.mapmatch.gnss import match_by_gnss, positions_usable, readable_fixes
 from vehicle_client.mapmatch.match import MatchMethod, SectionMatch
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.vehicle_client.synthetic import drive_over, road, s_turn
-from vehicle_client.mapmatch.dead_reckoning import driven_line
+from vehicle_client.mapmatch.driven_line import driven_line
 from vehicle_client.mapmatch.heading import heading_findings, heading_fit
 from vehicle_client.mapmatch.match import MatchMethod, section_match
 

@@ -9,7 +9,7 @@ from roadgrip.geodesy import frame_of
 from roadgrip.records import Reason, Rejected
 from tests.vehicle_client.synthetic import drive_over, fixes_of, negative, road, s_turn, surveyed
 from vehicle_client.estimation.trace import GnssTrack
-from vehicle_client.mapmatch.dead_reckoning import driven_line
+from vehicle_client.mapmatch.driven_line import driven_line
 from vehicle_client.mapmatch.match import MatchMethod, SectionMatch
 from vehicle_client.mapmatch.placing import Placing, placed
 

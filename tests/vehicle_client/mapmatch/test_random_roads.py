@@ -8,7 +8,8 @@ import pytest
 from roadgrip.records import Rejected
 from training.random_roads import random_section
 from vehicle_client.estimation.vertical import vertical_velocity_mps
-from vehicle_client.mapmatch.dead_reckoning import driven_line, match_by_dead_reckoning
+from vehicle_client.mapmatch.dead_reckoning import match_by_dead_reckoning
+from vehicle_client.mapmatch.driven_line import driven_line
 from vehicle_client.mapmatch.match import SectionMatch
 from vehicle_client.simulator.amplitudes import AUTOMOTIVE
 from vehicle_client.simulator.map_error import map_as_surveyed

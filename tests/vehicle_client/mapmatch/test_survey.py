@@ -5,7 +5,7 @@ import pytest
 
 from roadgrip.errors import SectionError
 from roadgrip.section import BankOrigin
-from vehicle_client.mapmatch.dead_reckoning import driven_line
+from vehicle_client.mapmatch.driven_line import driven_line
 from vehicle_client.mapmatch.survey import section_of_line
 
 CIRCLE = driven_line(np.full(2001, 20.0), np.full(2001, 0.2))
