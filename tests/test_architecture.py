@@ -40,8 +40,8 @@ UNITS = set(
 # The last words that say a number has no dimension.
 DIMENSIONLESS = set(
     """
-    mu ratio frac fraction share shares correlation count number index rank order exponent factor weight weights gain scale score level
-    probability quantile speedup loss
+    mu ratio frac fraction share shares correlation count number index rank order exponent factor weight weights
+    gain scale score level probability quantile speedup loss
     """.split()
 )
 # Whole names of arrays whose columns have a unit each (the feature table names them), or whose unit is the caller's,

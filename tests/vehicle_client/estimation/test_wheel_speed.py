@@ -104,7 +104,7 @@ def test_a_stuck_encoder_moves_the_speed_by_less_than_a_millimetre_a_second():
 def test_a_slipping_wheel_counts_less_while_the_car_brakes_than_on_a_steady_drive():
     # 2 m/s^2 more than the others, for half a second: Gaussians of width 1 and 4.5 leave 14 and 91 % of its voice.
     for accel_mps2, voice in ((-3.0, np.exp(-0.5 * 2.0**2)), (0.0, np.exp(-0.5 * (2.0 / 4.5) ** 2))):
-        speed = 30.0 + accel_mps2 * TIME_S
+        speed = np.asarray(30.0 + accel_mps2 * TIME_S, dtype=np.float64)
         trace = motion(speed, np.zeros(N))
         wheels = trace.wheel_speed_mps.copy()
         slip = np.clip(TIME_S - 3.0, 0.0, 0.5) * -2.0

@@ -267,6 +267,7 @@ def test_a_course_is_the_heading_and_the_sideslip_and_moves_no_point():
 def test_a_standing_car_has_no_course_of_its_own():
     still = np.zeros(200)
     slid = with_course(driven_line(still, still), speed_mps=still, velocity_y_mps=np.full(200, 0.02))
+    assert slid.course_rad is not None
     assert np.abs(slid.course_rad).max() < 0.011
 
 

@@ -182,8 +182,11 @@ def test_sideslip_that_the_accelerometer_takes_for_a_climb_is_no_difference_in_h
     as_slid, as_hilly = shown(line), shown(climbing)
     assert as_slid is not None
     assert as_hilly is not None
+    assert line.height_m is not None
     assert np.ptp(line.height_m) > 1.0
+    assert as_slid.height_rms_m is not None
     assert as_slid.height_rms_m < 0.1
+    assert as_hilly.height_rms_m is not None
     assert as_hilly.height_rms_m > 0.3
 
 
