@@ -22,7 +22,7 @@ from tests.system.daemons import Daemon
 
 PROGRAMS: dict[str, Any] = {
     "roadgrip-rsu": typer.main.get_command(rsu_app.cli.app),
-    "roadgrip-vehicle": typer.main.get_command(vehicle_client.cli.app),
+    "roadgrip-vehicle": typer.main.get_command(vehicle_client.cli.app_of()),
     "roadgrip-train": typer.main.get_command(training.cli.app),
 }
 FENCE = re.compile(r"^```(?:sh|console)\n(.*?)^```", re.MULTILINE | re.DOTALL)

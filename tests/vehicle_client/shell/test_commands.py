@@ -19,14 +19,15 @@ from roadgrip.features import KINEMATIC_FEATURES
 from roadgrip.section_file import section_to_json
 from roadgrip.sections import read_section
 from vehicle_client.__main__ import main
-from vehicle_client.cli import app
+from vehicle_client.cli import app_of
 from vehicle_client.shell.can.description import path_of_signals, read_can_mapping
 
+APP = app_of()
 SPEEDUP = "200"
 
 
 def run(*arguments: str | Path) -> tuple[int, str]:
-    result = CliRunner().invoke(app, [str(a) for a in arguments])
+    result = CliRunner().invoke(APP, [str(a) for a in arguments])
     if result.exception is not None and not isinstance(result.exception, SystemExit):
         raise result.exception
     return result.exit_code, result.stdout
@@ -296,3 +297,22 @@ def test_a_draft_needs_a_dbc_that_is_one(tmp_path: Path):
     with pytest.raises(ConfigurationError, match=r"--dbc: cannot read .*no\.dbc"):
         run("signals", tmp_path / "mycar", "--dbc", tmp_path / "no.dbc")
     assert not (tmp_path / "mycar").exists()
+
+
+LOADED_BY_LIVE = """
+import sys
+from vehicle_client.__main__ import main
+sys.argv = ["roadgrip-vehicle", "live", "--help"]
+try:
+    main()
+except SystemExit:
+    pass
+heavy = ("vehicle_client.cli_fleet", "vehicle_client.cli_drive", "vehicle_client.cli_recording", "numba", "scipy")
+sys.exit(", ".join(set(heavy) & set(sys.modules)) or 0)
+"""
+
+
+@pytest.mark.system
+def test_the_live_command_loads_no_other():
+    done = subprocess.run([sys.executable, "-c", LOADED_BY_LIVE], check=False, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr

@@ -22,7 +22,7 @@ from roadgrip.section import RoadSection
 from roadgrip.sections import read_section
 from roadgrip.units import GRAVITY_MPS2
 from tests.vehicle_client.shell.cars import a_drive
-from vehicle_client.cli import app
+from vehicle_client.cli import app_of
 from vehicle_client.shell.drive_picture import (
     axle_force_ratio,
     axle_slip_rad,
@@ -277,7 +277,7 @@ def test_more_roughness_shakes_the_wheels_more(s_turn: RoadSection):
 def test_the_command_takes_what_can_be_ordered(tmp_path: Path):
     options = "-s sharp-turn --driver reacting --speed 18 --wear 0.9 --pressure 2.2 --roughness smooth --json"
     systems = "--without esc --without tcs --second-friction 0.6 --sensors ideal --trace"
-    result = CliRunner().invoke(app, ["drive", *options.split(), *systems.split(), str(tmp_path / "drive.csv")])
+    result = CliRunner().invoke(app_of(), ["drive", *options.split(), *systems.split(), str(tmp_path / "drive.csv")])
     assert result.exit_code == 0, result.output
     found = json.loads(result.stdout)
     assert found["target_speed_mps"] == pytest.approx(5.0)
@@ -297,6 +297,6 @@ def test_the_command_takes_what_can_be_ordered(tmp_path: Path):
     ["--roughness z", "--without brakes", "--pressure 9", "--wear nan", "--speed 0", "--second-friction 3"],
 )
 def test_an_option_out_of_its_range_is_refused(options: str):
-    result = CliRunner().invoke(app, ["drive", *options.split()])
+    result = CliRunner().invoke(app_of(), ["drive", *options.split()])
     assert result.exit_code == 2
     assert options.split(maxsplit=1)[0] in result.output

@@ -20,7 +20,7 @@ from vehicle_client.shell.spool import CAPACITY_COUNT
 ROOT = Path(__file__).resolve().parents[4]
 PAGE = (ROOT / "docs" / "live-client.md").read_text(encoding="utf-8")
 SERVICE = (ROOT / "deploy" / "vehicle" / "roadgrip-vehicle.service").read_text(encoding="utf-8")
-COMMAND: Any = typer.main.get_command(vehicle_client.cli.app)
+COMMAND: Any = typer.main.get_command(vehicle_client.cli.app_of())
 OPTIONS = {name for parameter in COMMAND.commands["live"].params for name in parameter.opts if name.startswith("--")}
 
 
