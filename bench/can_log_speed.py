@@ -22,11 +22,13 @@ from rich.table import Table
 
 from roadgrip.units import SAMPLE_RATE_HZ, SAMPLE_S
 from vehicle_client.estimation.trace import Trace
+from vehicle_client.recording.frames import Frames
 from vehicle_client.recording.series import trace_of_series
 from vehicle_client.shell.can.description import path_of_signals, read_can_mapping
-from vehicle_client.shell.can.logs import LOG_SUFFIXES, read_log
+from vehicle_client.shell.can.log_names import LOG_SUFFIXES
+from vehicle_client.shell.can.logs import read_log
 from vehicle_client.shell.can.mf4 import write_mf4
-from vehicle_client.shell.can.written import Frames, frames_of_trace, message_of
+from vehicle_client.shell.can.written import frames_of_trace, message_of
 
 STRANGER_ID = 0x7
 """Of the frames that nobody asked for, one for each that is mapped."""

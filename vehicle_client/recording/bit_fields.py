@@ -119,16 +119,16 @@ class BitField:
 
     def values_of_raws(self, raws: RawArray) -> FloatArray:
         """Return what raw numbers mean. (n,)"""
-        if self.floating:
-            bits, kind = _UNSIGNED[self.length_bits], _FLOATS[self.length_bits][1]
-            numbers = raws.astype(bits).view(kind).astype(np.float64)
-        elif self.signed:
-            up = np.uint64(64 - self.length_bits)
-            numbers = ((raws << up).view(np.int64) >> up.astype(np.int64)).astype(np.float64)
-        else:
-            numbers = raws.astype(np.float64)
-        # A message may hold a NaN that complains when it is used; it says "unknown" like any other.
+        # A message may hold a NaN that complains when it is used or widened; it says "unknown" like any other.
         with np.errstate(invalid="ignore"):
+            if self.floating:
+                bits, kind = _UNSIGNED[self.length_bits], _FLOATS[self.length_bits][1]
+                numbers = raws.astype(bits).view(kind).astype(np.float64)
+            elif self.signed:
+                up = np.uint64(64 - self.length_bits)
+                numbers = ((raws << up).view(np.int64) >> up.astype(np.int64)).astype(np.float64)
+            else:
+                numbers = raws.astype(np.float64)
             return numbers * self.scale + self.zero_value
 
     def put_raws(self, payloads: PayloadArray, raws: RawArray) -> None:

@@ -11,9 +11,30 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
+    from numpy.typing import NDArray
+
     from roadgrip.units import BoolArray, FloatArray
     from vehicle_client.recording.bit_fields import BitField, PayloadArray, RawArray
     from vehicle_client.recording.signal_mapping import SignalSource
+
+
+@dataclass(frozen=True, slots=True)
+class Frames:
+    """CAN frames in the order of time; all arrays (n,) unless said.
+
+    Attributes:
+        time_s: On the clock of the trace.
+        frame_id: Identifier.
+        extended: Whether it has 29 bits.
+        length_bytes: How many bytes of the payload count.
+        payloads: (n, 8)
+    """
+
+    time_s: FloatArray
+    frame_id: NDArray[np.int64]
+    extended: BoolArray
+    length_bytes: NDArray[np.int64]
+    payloads: PayloadArray
 
 
 @dataclass(frozen=True, slots=True)

@@ -131,7 +131,8 @@ def read_mapped(path: Path, signals: str, *, watch: Callable[[int, float], None]
         ModuleNotFoundError: .parquet and .mf4 need the extra `vehicle-files`.
     """
     from vehicle_client.shell.can.description import can_mapping_at, path_of_signals, read_signals
-    from vehicle_client.shell.can.logs import LOG_SUFFIXES, is_log, read_log
+    from vehicle_client.shell.can.log_names import LOG_SUFFIXES, is_log
+    from vehicle_client.shell.can.logs import read_log
 
     place = path_of_signals(signals)
     mapping = read_signals(place)

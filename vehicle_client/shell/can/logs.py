@@ -10,6 +10,7 @@ import can
 
 from roadgrip.errors import ConfigurationError, TraceError
 from vehicle_client.shell.can.collector import SeriesCollector
+from vehicle_client.shell.can.log_names import log_suffix
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -19,20 +20,8 @@ if TYPE_CHECKING:
     from vehicle_client.recording.signal_mapping import SignalSource
     from vehicle_client.shell.can.description import CanMapping
 
-LOG_SUFFIXES = (".blf", ".asc", ".log", ".mf4")
 _NEWS_COUNT = 20_000
 """Frames between two calls of the watcher."""
-
-
-def is_log(path: Path) -> bool:
-    """Return whether a file is called like a CAN log."""
-    return log_suffix(path) in LOG_SUFFIXES
-
-
-def log_suffix(path: Path) -> str:
-    """Return what kind of log a file is by its name, in small letters and without the .gz that text logs may have."""
-    suffixes = [suffix.lower() for suffix in path.suffixes]
-    return suffixes[-2] if len(suffixes) > 1 and suffixes[-1] == ".gz" else "".join(suffixes[-1:])
 
 
 def read_log(

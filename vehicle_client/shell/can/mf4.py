@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from roadgrip.units import FloatArray
+    from vehicle_client.recording.frames import Frames
     from vehicle_client.shell.can.collector import SeriesCollector
-    from vehicle_client.shell.can.written import Frames
 
 _BLOCK_COUNT = 65_536
 _FRAME = "CAN_DataFrame"

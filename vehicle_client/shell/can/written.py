@@ -2,51 +2,28 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import can
 import numpy as np
 
 from vehicle_client.recording.channels import FIX_CHANNELS, SENSOR_COLUMNS, STABILITY_CHANNELS, WHEEL_COLUMNS
-from vehicle_client.recording.frames import frames_of_values
-from vehicle_client.shell.can.logs import log_suffix
+from vehicle_client.recording.frames import Frames, frames_of_values
+from vehicle_client.shell.can.log_names import log_suffix
 from vehicle_client.shell.can.mf4 import write_mf4
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-    from numpy.typing import NDArray
-
-    from roadgrip.units import BoolArray, FloatArray
+    from roadgrip.units import FloatArray
     from vehicle_client.estimation.trace import Trace
-    from vehicle_client.recording.bit_fields import PayloadArray
     from vehicle_client.recording.frames import FrameLayout
     from vehicle_client.shell.can.description import CanMapping
 
 FLAG_SAMPLES_COUNT = 2
 """Flags are sent 50 times a second, with every other sample."""
 CLASSIC_BYTES_COUNT = 8
-
-
-@dataclass(frozen=True, slots=True)
-class Frames:
-    """CAN frames in the order of time; all arrays (n,) unless said.
-
-    Attributes:
-        time_s: On the clock of the trace.
-        frame_id: Identifier.
-        extended: Whether it has 29 bits.
-        length_bytes: How many bytes of the payload count.
-        payloads: (n, 8)
-    """
-
-    time_s: FloatArray
-    frame_id: NDArray[np.int64]
-    extended: BoolArray
-    length_bytes: NDArray[np.int64]
-    payloads: PayloadArray
 
 
 def write_log(path: Path, trace: Trace, mapping: CanMapping) -> None:

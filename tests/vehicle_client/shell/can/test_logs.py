@@ -12,7 +12,8 @@ from tests.vehicle_client.shell.can.cars import SECTION, drive, mapping
 from vehicle_client.pipeline import Summarised, summarise_passage
 from vehicle_client.recording.channels import CHANNELS
 from vehicle_client.shell.can.description import path_of_signals, read_can_mapping
-from vehicle_client.shell.can.logs import LOG_SUFFIXES, is_log, read_log
+from vehicle_client.shell.can.log_names import LOG_SUFFIXES, is_log
+from vehicle_client.shell.can.logs import read_log
 from vehicle_client.shell.can.written import frames_of_trace, message_of, write_log
 from vehicle_client.shell.sources import TRACE_SUFFIXES, read_mapped, read_trace_csv, write_trace
 
