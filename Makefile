@@ -26,7 +26,7 @@ PLACES := roadgrip rsu_app vehicle_client training migrations tests bench deploy
 CODE := $(foreach place,$(PLACES),$(if $(shell find $(place) -name '*.py' -print -quit 2>/dev/null),$(place)))
 
 .PHONY: help setup demo real-input test test-long test-fast coverage check format-check format lint types contracts bench lock \
-        simulator-validation simulator-speed onboard-speed onboard-accuracy \
+        simulator-validation simulator-speed onboard-speed onboard-accuracy live-soak \
         bundle paper-design wheel hooks clean
 
 help: ## List the chores
@@ -102,6 +102,9 @@ onboard-accuracy: $(STAMP) ## Remake docs/onboard-accuracy.md: what the onboard 
 
 onboard-speed: $(STAMP) ## Measure what the onboard client costs a car; docs/results/onboard/speed.json, tables in docs/vehicle.md
 	@$(BIN)/python bench/onboard_speed.py $(ARGS)
+
+live-soak: $(STAMP) ## Drive the live client for two hours in five minutes, in bad air; docs/results/onboard/live_soak.json
+	@$(BIN)/python -m bench.live_soak $(ARGS)
 
 simulator-speed: $(STAMP) ## Measure the simulator beside the CommonRoad multi-body model; writes docs/results/simulator/speed.json
 	@$(BIN)/python -m bench.simulator_speed $(ARGS)

@@ -180,6 +180,7 @@ class LiveClient:
             "values_late": ring.late_count,
             "values_unknown": ring.unknown_count,
             "channel_resets": ring.reset_count,
+            "ring_bytes": self._ring.size_bytes,
             **self._source.counts(),
             **dict(sorted(self._journal.counts.items())),
         }

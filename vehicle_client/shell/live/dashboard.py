@@ -11,6 +11,7 @@ import asyncio
 import contextlib
 import json
 import stat
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -131,7 +132,7 @@ class Dashboard:
         self._present = present
         self._counters = counters
         self._counts = counts
-        self._readers: set[asyncio.StreamWriter] = set()
+        self._readers: dict[asyncio.StreamWriter, None] = {}
         self._serving: set[asyncio.Task[Any]] = set()
         self._server: asyncio.Server | None = None
         self._path: Path | None = None
@@ -184,20 +185,31 @@ class Dashboard:
     def _send(self, writer: asyncio.StreamWriter, data: bytes) -> None:
         transport = writer.transport
         if transport.is_closing():
-            self._readers.discard(writer)
+            self._readers.pop(writer, None)
             return
         transport.write(data)
         if transport.get_write_buffer_size() > WAITING_LIMIT_BYTES:
             self._counts["dashboard_readers_cut_off"] += 1
-            self._readers.discard(writer)
+            self._readers.pop(writer, None)
             transport.abort()
 
+    def _cut_off_who_does_not_read(self) -> None:
+        """Make room for a newcomer: whoever only holds a seat must not keep a display out."""
+        # In the order of arrival: who has just come had no time yet to read.
+        idle = next((writer for writer in self._readers if _unread_bytes(writer.transport) > 0), None)
+        if idle is not None:
+            self._counts["dashboard_readers_cut_off"] += 1
+            self._readers.pop(idle)
+            idle.transport.abort()
+
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        if len(self._readers) >= READERS_LIMIT_COUNT:
+            self._cut_off_who_does_not_read()
         if len(self._readers) >= READERS_LIMIT_COUNT:
             self._counts["dashboard_readers_turned_away"] += 1
             writer.transport.abort()
             return
-        self._readers.add(writer)
+        self._readers[writer] = None
         task = asyncio.current_task()
         if task is not None:
             self._serving.add(task)
@@ -212,12 +224,28 @@ class Dashboard:
             # ValueError: a request longer than any of ours.
             pass
         finally:
-            self._readers.discard(writer)
+            self._readers.pop(writer, None)
             writer.transport.abort()
 
 
 def _encoded(line: dict[str, Any]) -> bytes:
     return json.dumps(line, separators=(",", ":"), allow_nan=False).encode() + b"\n"
+
+
+def _unread_bytes(transport: asyncio.WriteTransport) -> int:
+    """Return what a reader has left unread, as far as it can be known; over TCP the other end's kernel hides it."""
+    waiting_bytes = transport.get_write_buffer_size()
+    link = transport.get_extra_info("socket")
+    if sys.platform != "linux" or link is None or waiting_bytes > 0:
+        return waiting_bytes
+    import fcntl
+    import termios
+
+    try:
+        queued = fcntl.ioctl(link.fileno(), termios.TIOCOUTQ, bytes(4))
+    except OSError:
+        return 0
+    return int.from_bytes(queued, sys.byteorder)
 
 
 def _remove_socket(path: Path) -> None:

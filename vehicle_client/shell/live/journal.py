@@ -48,6 +48,8 @@ def passage_entry(
         "age_s": None if age_s is None else round(age_s, 1),
         "frames_sent_count": record.frames_sent_count,
         "frames_received_count": record.frames_received_count,
+        "frames_refused_count": record.frames_refused_count,
+        "messages_ignored_count": record.messages_ignored_count,
         "advised_speed_mps": None if record.advisory is None else round(record.advisory.speed_mps, 2),
     }
     if made is not None:
@@ -75,6 +77,8 @@ class Journal:
         reason = entry["withheld"] or entry["reason"]
         if reason is not None:
             self.counts[f"passages_{late}{entry['ending']}_{reason}"] += 1
+        self.counts["frames_refused"] += entry["frames_refused_count"]
+        self.counts["messages_ignored"] += entry["messages_ignored_count"]
         if entry["spooled"] and not entry["late"]:
             self.counts["passages_spooled"] += 1
         self.say(entry)

@@ -1,4 +1,5 @@
 import asyncio
+import contextlib
 import json
 import socket
 from collections import Counter
@@ -261,5 +262,54 @@ def test_a_bus_that_breaks_is_said(tmp_path: Path):
         assert (await next_line(reader))["source"] == "broken"
         writer.close()
         await cockpit.close()
+
+    asyncio.run(story())
+
+
+def test_seats_that_are_held_by_nobody_who_reads_are_given_to_a_display(tmp_path: Path):
+    async def story() -> None:
+        counts: Counter[str] = Counter()
+        dashboard = Dashboard(present=lambda: [{"type": "state"}], counters=dict, counts=counts)
+        path = tmp_path / "dash.sock"
+        await dashboard.open(path)
+        reader, writer = await asyncio.open_unix_connection(path)
+        await next_line(reader)
+        storm = []
+        for _ in range(20 * READERS_LIMIT_COUNT):
+            storm.append(socket.socket(socket.AF_UNIX))
+            storm[-1].connect(str(path))
+            await asyncio.sleep(0.0)
+        late_reader, late_writer = await asyncio.open_unix_connection(path)
+        assert (await next_line(late_reader))["type"] == "state"
+        dashboard.tell({"number": 7})
+        assert (await next_line(reader))["number"] == 7
+        assert (await next_line(late_reader))["number"] == 7
+        assert dashboard.readers_count <= READERS_LIMIT_COUNT
+        assert counts["dashboard_readers_cut_off"] > READERS_LIMIT_COUNT
+        for each in storm:
+            each.close()
+        writer.close()
+        late_writer.close()
+        await dashboard.close()
+
+    asyncio.run(story())
+
+
+def test_a_storm_of_connects_that_go_at_once_leaves_every_seat_free(tmp_path: Path):
+    async def story() -> None:
+        dashboard = Dashboard(present=lambda: [{"type": "state"}], counters=dict, counts=Counter())
+        path = tmp_path / "dash.sock"
+        await dashboard.open(path)
+        for _ in range(200):
+            link = socket.socket(socket.AF_UNIX)
+            link.setblocking(False)
+            with contextlib.suppress(BlockingIOError):
+                link.connect(str(path))
+            link.close()
+            await asyncio.sleep(0.0)
+        reader, writer = await asyncio.open_unix_connection(path)
+        assert (await next_line(reader))["type"] == "state"
+        writer.close()
+        await dashboard.close()
 
     asyncio.run(story())

@@ -17,7 +17,7 @@ import pytest
 
 from roadgrip.section_file import section_to_json
 from tests.system.daemons import Daemon
-from tests.vehicle_client.shell.live.cars import ROAD, Car, a_drive, free_udp_port, standing, unit_settings
+from tests.vehicle_client.shell.live.cars import ROAD, SPEEDUP, Car, a_drive, free_udp_port, standing, unit_settings
 from vehicle_client.shell.can.buses import open_bus
 from vehicle_client.shell.can.description import EXAMPLE, path_of_signals, read_can_mapping
 from vehicle_client.shell.can.live import CanSource
@@ -243,3 +243,30 @@ def test_a_drive_over_the_cars_own_bus_is_accepted(tmp_path: Path, roadside: Roa
     assert passage["ending"] == "accepted"
     assert lines[-1]["can_frames"] > 3_000
     assert lines[-1]["can_values_dropped"] == 0
+
+
+@pytest.mark.long
+def test_a_client_that_is_stopped_for_a_while_gives_one_summary_of_the_right_age(tmp_path: Path, roadside: Roadside):
+    (tmp_path / "known.json").write_text(section_to_json(ROAD), encoding="utf-8")
+    trace, stop_s = a_drive(seed=7), 20.0
+    # From 400 m of approach and 15 m/s on: it is stopped inside the section, which it leaves while it is stopped.
+    inside_s, left_s = (400.0 + 100.0) / 15.0 / SPEEDUP, (400.0 + 400.0) / 15.0 / SPEEDUP
+    before_count = len(roadside.unit.stored())
+    spawned_s = time.monotonic()
+    with Car(tmp_path / "car", trace, *roadside.beacons, "--section", str(tmp_path / "known.json")) as car:
+        car.wait_for(lambda: car.events("started"))
+        started_s = time.monotonic()
+        time.sleep(inside_s)
+        car.process.send_signal(signal.SIGSTOP)
+        time.sleep(stop_s)
+        car.process.send_signal(signal.SIGCONT)
+        resumed_s = time.monotonic()
+        car.wait_for(lambda: car.events("passage"))
+        received_s = time.monotonic()
+        # Whatever else it had to say, it would have said by the end of the recording.
+        car.wait_for(lambda: car.events("source_ended"))
+        assert car.stop() == 0
+    (stored,) = roadside.unit.stored()[before_count:]
+    (passage,) = car.events("passage")
+    assert passage["ending"] == "accepted"
+    assert resumed_s - started_s - left_s - 1.0 <= stored.age_s <= received_s - spawned_s - left_s + 0.1
