@@ -320,7 +320,9 @@ def draw(figures: dict[str, Any], folder: Path) -> str:
     """Write the picture and return its file's name."""
     series = figures["series"]
     hours = np.array(series["driven_s"]) / _HOUR_S
-    figure, axes = panels(1, 2, title=f"{figures['hours']:g} hours of driving, {figures['drives_count']} passages")
+    figure, axes = panels(
+        1, 2, title=f"{figures['hours']:g} hours of driving, {figures['drives_count']} drives over a section"
+    )
     for values, colour in (("rss_mb", OURS), ("ring_mb", THEORY)):
         line(axes[0], hours, series[values], colour)
     for values, colour in (("files_count", QUIET), ("spool_count", OURS)):

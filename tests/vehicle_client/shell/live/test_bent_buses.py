@@ -22,12 +22,13 @@ from vehicle_client.shell.live.source import PlayedTrace
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(120)]
 
-SPEEDUP = 200.0
-APPROACH_M = 800.0
-"""A pass that is over makes way for the next one of its section after 500 m."""
-FROM_S, SILENCE_S = 65.0, 3.0
-"""The car is in the section from 53 s to 80 s."""
+SPEEDUP = 60.0
+APPROACH_M = 950.0
+"""A pass that is over makes way for the next one of its section after 500 m; the pipeline's answer takes some of them."""
+FROM_S, SILENCE_S = 75.0, 3.0
+"""The car is in the section from 63 s to 90 s."""
 JUMP_S = 1.0
+BURST_STEP_RATIO = 1e-4
 Bend = Callable[[str, Series], Series]
 
 
@@ -61,6 +62,14 @@ def jumps(by_s: float, *channels: str, for_s: float = JUMP_S) -> Bend:
         return Series(np.where(off, series.time_s + by_s, series.time_s), series.values)
 
     return bend
+
+
+def stalled(name: str, series: Series) -> Series:
+    """Stamp what came in some seconds when they were over, as a process that was stopped finds it in its socket."""
+    off = (series.time_s >= FROM_S) & (series.time_s < FROM_S + SILENCE_S)
+    burst_s = FROM_S + SILENCE_S - BURST_STEP_RATIO * (FROM_S + SILENCE_S - series.time_s)
+    del name
+    return Series(np.where(off, burst_s, series.time_s), series.values)
 
 
 def told(folder: Path, trace: Trace, bend: Bend) -> list[dict[str, Any]]:
@@ -115,6 +124,7 @@ SENSORS: dict[str, Bend] = {
     "one channel silent": silent("yaw_rate_radps"),
     "all wheels silent": silent(*WHEEL_COLUMNS),
     "everything silent": silent(),
+    "everything in a burst": stalled,
     "one stamp ahead": jumps(5.0, "yaw_rate_radps"),
     "one stamp back": jumps(-5.0, "yaw_rate_radps"),
     "one stamp a little back": jumps(-0.5, "yaw_rate_radps"),
@@ -133,7 +143,13 @@ FIXES: dict[str, Bend] = {
 }
 
 
-QUICK = {"one channel silent", "all stamps back", "all stamps years ahead for good", "fixes ahead"}
+QUICK = {
+    "one channel silent",
+    "everything in a burst",
+    "all stamps back",
+    "all stamps years ahead for good",
+    "fixes ahead",
+}
 
 
 def names_of(cases: dict[str, Bend]) -> list[Any]:
