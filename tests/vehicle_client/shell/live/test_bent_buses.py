@@ -24,7 +24,7 @@ pytestmark = [pytest.mark.system, pytest.mark.timeout(120)]
 
 SPEEDUP = 60.0
 APPROACH_M = 950.0
-"""A pass that is over makes way for the next one of its section after 500 m; the pipeline's answer takes some of them."""
+"""A pass that is over makes way for the next one of its section after 500 m; the pipeline takes some of them."""
 FROM_S, SILENCE_S = 75.0, 3.0
 """The car is in the section from 63 s to 90 s."""
 JUMP_S = 1.0
