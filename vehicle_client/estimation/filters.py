@@ -19,7 +19,7 @@ EDGE_SAMPLES_COUNT = TAPS_COUNT - 1
 _BLOCK_COUNT = 32
 """Samples that are smoothed by one product; about the fastest."""
 BUTTERWORTH_ORDER = 30
-BUTTERWORTH_REACH_COUNT = 800
+BUTTERWORTH_REACH_COUNT = 1100
 """The Butterworth filter rings this long, in samples, until twelve decimal places are gone."""
 
 
