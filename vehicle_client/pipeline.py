@@ -8,17 +8,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from roadgrip.records import KinematicSummary, QualityFlag, Reason, Rejected
-from vehicle_client.estimation.filters import smoothed
 from vehicle_client.estimation.gaps import believable, bridged, longest_gap_s, missing_frac
 from vehicle_client.estimation.mounting import in_car_axes
 from vehicle_client.estimation.observer import XC90_PARAMETERS, ObserverParameters
 from vehicle_client.estimation.offsets import SensorOffsets, sensor_offsets
 from vehicle_client.estimation.plausibility import Sensor, findings
-from vehicle_client.estimation.signals import kinematic_signals, unmapped_velocity_y_mps
+from vehicle_client.estimation.signals import kinematic_signals, unmapped_speed_mps, unmapped_velocity_y_mps
 from vehicle_client.estimation.summary import KinematicSignals, kinematic_summary
 from vehicle_client.estimation.vehicle_geometry import XC90, VehicleGeometry
 from vehicle_client.estimation.vertical import vertical_velocity_mps
-from vehicle_client.estimation.wheel_speed import encoder_speed_mps
 from vehicle_client.mapmatch.driven_line import driven_line, with_course
 from vehicle_client.mapmatch.match import MatchMethod, SectionMatch
 from vehicle_client.mapmatch.placing import placed
@@ -88,7 +86,7 @@ def summarise_passage(
     sensed = bridged(trace, valid)
     # Before anything else: a tilted sensor's share of gravity is neither a climb nor a slide nor an offset.
     trace = in_car_axes(sensed, vehicle)
-    rough = _rough_speed_mps(trace, vehicle=vehicle, parameters=parameters)
+    rough = unmapped_speed_mps(trace, vehicle=vehicle, parameters=parameters)
     climbing = vertical_velocity_mps(trace.accel_x_mps2, rough, trace.yaw_rate_radps)
     line = with_course(
         driven_line(rough, trace.yaw_rate_radps, vertical_velocity_mps=climbing),
@@ -138,19 +136,6 @@ def summarise_passage(
         ),
     )
     return Summarised(summary=summary, match=match, signals=signals, offsets=offsets)
-
-
-def _rough_speed_mps(trace: Trace, *, vehicle: VehicleGeometry, parameters: ObserverParameters) -> FloatArray:
-    """Return the encoder speed before offsets, bank and grade are known; good enough to find the section."""
-    return encoder_speed_mps(
-        trace.wheel_speed_mps,
-        trace.yaw_rate_radps,
-        smoothed(trace.steer_rad, parameters.lowpass),
-        smoothed(trace.accel_x_mps2, parameters.lowpass),
-        np.zeros_like(trace.yaw_rate_radps),
-        vehicle=vehicle,
-        parameters=parameters,
-    )
 
 
 def _not_found(trace: Trace, speed_mps: FloatArray, vehicle: VehicleGeometry, *, refusal: Rejected) -> Rejected:

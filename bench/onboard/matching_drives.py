@@ -12,13 +12,11 @@ from roadgrip.records import Reason, Rejected
 from roadgrip.section import RoadSection
 from roadgrip.units import SAMPLE_S, BoolArray, FloatArray
 from training.random_roads import random_section
-from vehicle_client.estimation.filters import smoothed
 from vehicle_client.estimation.observer import XC90_PARAMETERS
-from vehicle_client.estimation.signals import unmapped_velocity_y_mps
+from vehicle_client.estimation.signals import unmapped_speed_mps, unmapped_velocity_y_mps
 from vehicle_client.estimation.trace import Trace
 from vehicle_client.estimation.vehicle_geometry import XC90
 from vehicle_client.estimation.vertical import vertical_velocity_mps
-from vehicle_client.estimation.wheel_speed import encoder_speed_mps
 from vehicle_client.mapmatch.driven_line import DrivenLine, driven_line, with_course
 from vehicle_client.pipeline import summarise_passage
 from vehicle_client.simulator.amplitudes import AUTOMOTIVE
@@ -123,15 +121,7 @@ def surveyed(section: RoadSection, number: int) -> RoadSection:
 
 def leg_of(trace: Trace, station_m: FloatArray) -> Leg:
     """Return a drive as the client reckons it before it knows the section."""
-    speed = encoder_speed_mps(
-        trace.wheel_speed_mps,
-        trace.yaw_rate_radps,
-        smoothed(trace.steer_rad),
-        smoothed(trace.accel_x_mps2),
-        np.zeros_like(trace.yaw_rate_radps),
-        vehicle=XC90,
-        parameters=XC90_PARAMETERS,
-    )
+    speed = unmapped_speed_mps(trace, vehicle=XC90, parameters=XC90_PARAMETERS)
     climb = vertical_velocity_mps(trace.accel_x_mps2, speed, trace.yaw_rate_radps)
     aside = unmapped_velocity_y_mps(trace, vehicle=XC90, parameters=XC90_PARAMETERS)
     if aside is None:

@@ -17,9 +17,8 @@ from training.reference_drives import ReferenceFormat, level_road, parts_of_reco
 from vehicle_client.estimation.filters import rate_of_change, smoothed
 from vehicle_client.estimation.observer import XC90_PARAMETERS
 from vehicle_client.estimation.offsets import NO_OFFSETS
-from vehicle_client.estimation.signals import kinematic_signals
+from vehicle_client.estimation.signals import kinematic_signals, unmapped_speed_mps
 from vehicle_client.estimation.trace import mirrored
-from vehicle_client.estimation.wheel_speed import encoder_speed_mps
 from vehicle_client.mapmatch.driven_line import driven_line
 from vehicle_client.pipeline import Summarised, summarise_passage
 from vehicle_client.recording.public import IAC_AV21
@@ -151,15 +150,7 @@ def test_the_speed_block_beats_the_plain_mean_of_four_wheels():
     drive = recording(INDY)
     trace, truth = drive.trace, drive.reference["velocity_x_mps"]
     assert set(drive.missing) == {"accel_y_mps2", "roll_rate_radps"}
-    block = encoder_speed_mps(
-        trace.wheel_speed_mps,
-        trace.yaw_rate_radps,
-        smoothed(trace.steer_rad),
-        smoothed(trace.accel_x_mps2),
-        np.zeros(trace.samples_count),
-        vehicle=INDY_GEOMETRY,
-        parameters=XC90_PARAMETERS,
-    )
+    block = unmapped_speed_mps(trace, vehicle=INDY_GEOMETRY, parameters=XC90_PARAMETERS)
     mean = trace.wheel_speed_mps.mean(axis=1)
 
     def error_mps(speed):

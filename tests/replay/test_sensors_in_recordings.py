@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 
 from tests.replay.recordings import FERRARI, INDY, MAPPINGS, MOTORWAY, recording
-from vehicle_client.estimation.filters import smoothed
 from vehicle_client.estimation.gaps import believable, bridged
 from vehicle_client.estimation.observer import XC90_PARAMETERS
 from vehicle_client.estimation.plausibility import Finding, Sensor, findings
+from vehicle_client.estimation.signals import unmapped_speed_mps
 from vehicle_client.estimation.trace import Trace, part_of
-from vehicle_client.estimation.wheel_speed import encoder_speed_mps
 from vehicle_client.simulator.faults import Fault, with_fault
 
 WINDOW_S = 20.0
@@ -43,15 +42,7 @@ SEEN: dict[tuple[str, Fault], Sensor | None] = {
 def found_in(trace: Trace, name: str, *, from_s: float, to_s: float) -> tuple[Finding, ...]:
     trace = bridged(trace, believable(trace))
     vehicle = MAPPINGS[name].vehicle
-    speed = encoder_speed_mps(
-        trace.wheel_speed_mps,
-        trace.yaw_rate_radps,
-        smoothed(trace.steer_rad),
-        smoothed(trace.accel_x_mps2),
-        np.zeros(trace.samples_count),
-        vehicle=vehicle,
-        parameters=XC90_PARAMETERS,
-    )
+    speed = unmapped_speed_mps(trace, vehicle=vehicle, parameters=XC90_PARAMETERS)
     return findings(trace, speed, from_s=from_s, to_s=to_s, vehicle=vehicle)
 
 

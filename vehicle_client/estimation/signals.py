@@ -59,6 +59,25 @@ def kinematic_signals(
     )
 
 
+def unmapped_speed_mps(trace: Trace, *, vehicle: VehicleGeometry, parameters: ObserverParameters) -> FloatArray:
+    """Return the encoder speed before offsets, bank and grade are known; good enough to find the section. (n,)
+
+    Args:
+        trace: Without gaps (bridged), in the car's axes (`in_car_axes`), more than 30 samples.
+        vehicle: The own car.
+        parameters: Constants of the estimation.
+    """
+    return encoder_speed_mps(
+        trace.wheel_speed_mps,
+        trace.yaw_rate_radps,
+        smoothed(trace.steer_rad, parameters.lowpass),
+        smoothed(trace.accel_x_mps2, parameters.lowpass),
+        np.zeros_like(trace.yaw_rate_radps),
+        vehicle=vehicle,
+        parameters=parameters,
+    )
+
+
 def unmapped_velocity_y_mps(
     trace: Trace, *, vehicle: VehicleGeometry, parameters: ObserverParameters
 ) -> FloatArray | None:
