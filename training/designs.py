@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -130,6 +130,10 @@ def _random_roads(size: Size, seed: int) -> tuple[Scenario, ...]:
     return random_roads(seed, size.random_roads_count, attempted(size.runs_count))
 
 
+def _random_roads_fleet(size: Size, seed: int) -> tuple[Scenario, ...]:
+    return tuple(replace(scenario, varied_vehicles=True) for scenario in _random_roads(size, seed))
+
+
 def _mixed(size: Size, seed: int) -> tuple[Scenario, ...]:
     quota = attempted(size.runs_count)
     known = tuple(Scenario(section.section_id, section, quota) for section in paper_sections())
@@ -145,6 +149,7 @@ DESIGNS: Mapping[str, NamedDesign] = {
     "random-roads": NamedDesign(
         "random roads with a few vehicles each, for what must hold on the next road", _random_roads
     ),
+    "random-roads-fleet": NamedDesign("the same roads with another vehicle in every run", _random_roads_fleet),
     "manoeuvres": NamedDesign(
         "slalom, tight lane change, ninety-degree turn, sine wave at 0.2 to 1.0, by test drivers",
         _manoeuvres,
