@@ -30,7 +30,7 @@ ROLES = {
     ),
     "training": (
         ("roadgrip", "rsu_app.domain", *VEHICLE_PURE, "vehicle_client.simulator", "training"),
-        {"fastapi", "sqlalchemy", "uvicorn", "mlflow"},
+        {"can", "asammdf", "structlog", "uvloop"},
     ),
 }
 EXTRAS = {
