@@ -2,15 +2,49 @@
 
 from __future__ import annotations
 
-import heapq
 from bisect import bisect_left, insort
 from collections.abc import Sequence
-from math import inf, isfinite
+from dataclasses import dataclass
+from itertools import chain
+from math import inf, isfinite, nan
+from typing import NamedTuple
 
-from roadgrip.units import WINDOW_S
+import numpy as np
+
+from roadgrip.units import WINDOW_S, BoolArray, FloatArray
 
 CAPACITY_COUNT = 20_000
 """Estimates a window may hold: four lanes at saturation give fewer than 10,000 vehicles an hour."""
+
+
+class WindowEntry(NamedTuple):
+    """One estimate as the window holds it; entries sort by time, then by friction.
+
+    Attributes:
+        left_at_s: When the vehicle left the section.
+        mu: The estimate, always there, however doubtful.
+        at_least: The estimate is doubtful: the passage only says that the friction is at least `mu_low`.
+        mu_low: Below this the friction hardly is, with the coverage the model promises; NaN when the model says
+            nothing about its error.
+        expected_error_ratio: Size of the error to expect, relative to the estimate; NaN when the model says nothing.
+    """
+
+    left_at_s: float
+    mu: float
+    at_least: bool = False
+    mu_low: float = nan
+    expected_error_ratio: float = nan
+
+
+@dataclass(frozen=True, slots=True)
+class WindowRows:
+    """All entries of a window as arrays, oldest first; see `WindowEntry`. Each (n,)"""
+
+    left_at_s: FloatArray
+    mu: FloatArray
+    at_least: BoolArray
+    mu_low: FloatArray
+    expected_error_ratio: FloatArray
 
 
 class FrictionWindow:
@@ -22,8 +56,8 @@ class FrictionWindow:
 
     All times are seconds of one monotonic clock that the caller names; a step of the wall clock does not touch it.
 
-    Two structures hold the same estimates: a list sorted by friction, in which a place is found by bisection and
-    order statistics are an index away, and a heap by time, whose top is the next to leave.
+    Two lists hold the same estimates, one sorted by friction and one by time: order statistics are an index away,
+    and the next to leave comes first. Python moves a full list by one place in some ten microseconds.
 
     Args:
         window_s: How long an estimate counts.
@@ -36,8 +70,8 @@ class FrictionWindow:
         self.window_s = window_s
         self.capacity_count = capacity_count
         self._ordered_mu: list[float] = []
-        self._by_time: list[tuple[float, float]] = []
-        self._newest_left_at_s = -inf
+        self._by_time: list[WindowEntry] = []
+        self._rows: WindowRows | None = None
 
     def __len__(self) -> int:
         """Return how many estimates are held; those that grew too old count until `evict`."""
@@ -51,23 +85,44 @@ class FrictionWindow:
     @property
     def newest_left_at_s(self) -> float:
         """When the last vehicle of the window left the section; minus infinity when the window is empty."""
-        return self._newest_left_at_s
+        return self._by_time[-1].left_at_s if self._by_time else -inf
 
-    def add(self, *, left_at_s: float, mu: float) -> None:
+    @property
+    def rows(self) -> WindowRows:
+        """All entries, oldest first; to be read, not changed. Made once after each change of the window."""
+        if self._rows is None:
+            self._rows = _rows(self._by_time)
+        return self._rows
+
+    def add(
+        self,
+        *,
+        left_at_s: float,
+        mu: float,
+        at_least: bool = False,
+        mu_low: float = nan,
+        expected_error_ratio: float = nan,
+    ) -> None:
         """Hold an estimate; the oldest goes if there is no room.
 
         Args:
             left_at_s: When the vehicle left the section.
             mu: Its estimate, finite and above zero.
+            at_least: Whether the passage only says that the friction is at least `mu_low`.
+            mu_low: Below this the friction hardly is; NaN when the model says nothing about its error.
+            expected_error_ratio: Size of the error to expect, relative to `mu`; NaN when the model says nothing.
 
         Raises:
-            ValueError: The time or the estimate is not a number that can be ordered.
+            ValueError: The time or the estimate is not a number that can be ordered; or an estimate that says "at
+                least" does not say what.
         """
         if not (isfinite(left_at_s) and isfinite(mu) and mu > 0.0):
             raise ValueError(f"estimate {mu} at {left_at_s} s does not belong in a window")
-        heapq.heappush(self._by_time, (left_at_s, mu))
+        if at_least and not mu_low > 0.0:
+            raise ValueError(f"estimate {mu} at {left_at_s} s says that friction is at least {mu_low}")
+        insort(self._by_time, WindowEntry(left_at_s, mu, at_least, mu_low, expected_error_ratio))
         insort(self._ordered_mu, mu)
-        self._newest_left_at_s = max(self._newest_left_at_s, left_at_s)
+        self._rows = None
         if len(self._by_time) > self.capacity_count:
             self._drop_oldest()
 
@@ -78,13 +133,24 @@ class FrictionWindow:
         """
         horizon_s = now_s - self.window_s
         dropped_count = 0
-        while self._by_time and self._by_time[0][0] < horizon_s:
+        while self._by_time and self._by_time[0].left_at_s < horizon_s:
             self._drop_oldest()
             dropped_count += 1
         return dropped_count
 
     def _drop_oldest(self) -> None:
-        _, mu = heapq.heappop(self._by_time)
+        mu = self._by_time.pop(0).mu
         del self._ordered_mu[bisect_left(self._ordered_mu, mu)]
-        if not self._by_time:
-            self._newest_left_at_s = -inf
+        self._rows = None
+
+
+def _rows(entries: Sequence[WindowEntry]) -> WindowRows:
+    table = np.fromiter(chain.from_iterable(entries), dtype=np.float64, count=len(entries) * len(WindowEntry._fields))
+    left_at_s, mu, at_least, mu_low, expected_error_ratio = table.reshape(-1, len(WindowEntry._fields)).T
+    return WindowRows(
+        left_at_s=left_at_s,
+        mu=mu,
+        at_least=at_least == 1.0,
+        mu_low=mu_low,
+        expected_error_ratio=expected_error_ratio,
+    )

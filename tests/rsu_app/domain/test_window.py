@@ -1,7 +1,9 @@
 from __future__ import annotations
 
+from math import isnan
 from statistics import median
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -30,6 +32,7 @@ def test_the_order_of_arrival_does_not_matter(estimates, chance, capacity_count,
     for window in windows:
         window.evict(now_s=now_s)
     assert windows[0].ordered_mu == windows[1].ordered_mu
+    assert np.array_equal(windows[0].rows.mu, windows[1].rows.mu)
     assert windows[0].newest_left_at_s == windows[1].newest_left_at_s
 
 
@@ -57,6 +60,7 @@ class WindowAgainstList(RuleBasedStateMachine):
     def both_hold_the_same(self):
         assert list(self.window.ordered_mu) == sorted(mu for _, mu in self.held)
         assert len(self.window) == len(self.held)
+        assert list(zip(self.window.rows.left_at_s, self.window.rows.mu, strict=True)) == sorted(self.held)
         if self.held:
             assert median_of_ordered(self.window.ordered_mu) == median(mu for _, mu in self.held)
             assert self.window.newest_left_at_s == max(left_at_s for left_at_s, _ in self.held)
@@ -76,6 +80,35 @@ def test_an_estimate_as_old_as_the_window_still_counts():
 def test_a_full_window_keeps_those_that_left_last():
     window = filled([(3.0, 0.3), (1.0, 0.1), (2.0, 0.2), (0.0, 0.9)], capacity_count=2)
     assert list(window.ordered_mu) == [0.2, 0.3]
+
+
+def test_the_rows_hold_everything_that_was_said_oldest_first():
+    window = FrictionWindow()
+    window.add(left_at_s=2.0, mu=0.5, at_least=True, mu_low=0.4, expected_error_ratio=0.2)
+    window.add(left_at_s=1.0, mu=0.6)
+    rows = window.rows
+    assert rows.left_at_s.tolist() == [1.0, 2.0]
+    assert rows.mu.tolist() == [0.6, 0.5]
+    assert rows.at_least.tolist() == [False, True]
+    assert isnan(rows.mu_low[0])
+    assert isnan(rows.expected_error_ratio[0])
+    assert (rows.mu_low[1], rows.expected_error_ratio[1]) == (0.4, 0.2)
+
+
+def test_the_rows_follow_every_change():
+    window = filled([(0.0, 0.5), (10.0, 0.6)], window_s=60.0)
+    assert window.rows.mu.tolist() == [0.5, 0.6]
+    window.add(left_at_s=20.0, mu=0.7)
+    assert window.rows.mu.tolist() == [0.5, 0.6, 0.7]
+    window.evict(now_s=65.0)
+    assert window.rows.mu.tolist() == [0.6, 0.7]
+    window.evict(now_s=1000.0)
+    assert [len(column) for column in (window.rows.mu, window.rows.at_least)] == [0, 0]
+
+
+def test_at_least_must_say_at_least_what():
+    with pytest.raises(ValueError, match="at least nan"):
+        FrictionWindow().add(left_at_s=0.0, mu=0.5, at_least=True)
 
 
 @pytest.mark.parametrize("mu", [float("nan"), float("inf"), 0.0, -0.1])
