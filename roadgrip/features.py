@@ -1,19 +1,22 @@
-"""The feature table: what a kinematic summary holds, in which order, within which range.
+"""The feature tables: what a kinematic summary holds, in which order, within which range.
 
-Five signals and two road profiles, each as eleven statistics, and the length of the section: 78 features. The
-paper counts 82 for the same list; 78 is what its list adds up to, and what we say openly.
+A table has a version and two parts. The vehicle sends the kinematic features; those of the road follow from the map
+alone, so either side computes them from its own copy with `road_features` and nothing is sent twice.
 
-The vehicle sends the 55 kinematic features. The 23 of the road follow from the map alone, so either side computes
-them from its own copy with `road_features` and nothing is sent twice.
+Table 1 is the paper's: five signals and two road profiles, each as eleven statistics, and the length of the section: 78
+features, 55 of them kinematic. The paper counts 82 for the same list; 78 is what its list adds up to, and what we
+say openly.
 
-The table's digest travels with every summary and inside every model bundle; a summary made for another table is
-refused, because a column that shifted by one place would still look like friction.
+The table's digest travels with every summary and names the model of a bundle that may read it; a summary that no model
+was made for is refused, because a column that shifted by one place would still look like friction. A newer table
+begins with the columns of the older ones, so `summary_for` can say the same in older words.
 """
 
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,10 +24,13 @@ import numpy as np
 from roadgrip.errors import FeatureTableError
 
 if TYPE_CHECKING:
+    from collections.abc import Collection, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from roadgrip.records import KinematicSummary
     from roadgrip.section import RoadSection
     from roadgrip.units import FloatArray
-
-TABLE_VERSION = 1
 
 STATISTICS = ("mean", "std", "q20", "q40", "q60", "q80", "min", "median", "max", "skewness", "kurtosis")
 """The paper's eleven statistics, in its order."""
@@ -49,6 +55,99 @@ class Feature:
     unit: str
     minimum: float
     maximum: float
+
+
+@dataclass(frozen=True)
+class FeatureTable:
+    """The columns that one version of the vehicle client and the regressors made for it agree on.
+
+    Attributes:
+        version: Counts the tables; the digest tells them apart.
+        kinematic: What the vehicle sends, in this order.
+        road: What follows from the map, in this order.
+    """
+
+    version: int
+    kinematic: tuple[Feature, ...]
+    road: tuple[Feature, ...]
+
+    @cached_property
+    def features(self) -> tuple[Feature, ...]:
+        """The regressor's columns: the kinematic ones, then those of the road."""
+        return self.kinematic + self.road
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """The names of the regressor's columns."""
+        return tuple(feature.name for feature in self.features)
+
+    @cached_property
+    def digest(self) -> str:
+        """Sixteen hexadecimal characters that name this table."""
+        lines = [f"roadgrip feature table {self.version}"]
+        lines += [f"{f.name}|{f.unit}|{f.minimum!r}|{f.maximum!r}" for f in self.features]
+        return hashlib.sha256("\n".join(lines).encode()).hexdigest()[:16]
+
+    @cached_property
+    def minimum(self) -> FloatArray:
+        """Smallest value of each of the regressor's columns that can be true. (columns,)"""
+        return np.array([feature.minimum for feature in self.features])
+
+    @cached_property
+    def maximum(self) -> FloatArray:
+        """Largest value of each of the regressor's columns that can be true. (columns,)"""
+        return np.array([feature.maximum for feature in self.features])
+
+    @cached_property
+    def statistics_columns(self) -> NDArray[np.intp]:
+        """Where the statistics of each signal stand among the kinematic features, in the order of `STATISTICS`.
+
+        The laws between statistics hold for these columns and for no others. (signals, 11)
+        """
+        blocks = [[f.name for f in _columns(signal)] for signal in _KINEMATIC_SIGNALS]
+        known = [block for block in blocks if set(block) <= self._places.keys()]
+        return np.array([[self._places[name] for name in block] for block in known], dtype=np.intp).reshape(
+            -1, len(STATISTICS)
+        )
+
+    @cached_property
+    def _places(self) -> dict[str, int]:
+        return {name: place for place, name in enumerate(self.names)}
+
+    def __len__(self) -> int:
+        """Return the number of the regressor's columns."""
+        return len(self.features)
+
+    def index(self, name: str) -> int:
+        """Return the column of a feature.
+
+        Raises:
+            FeatureTableError: The table has no such feature.
+        """
+        if name not in self._places:
+            message = f"feature table {self.digest} has no column {name}"
+            raise FeatureTableError(message)
+        return self._places[name]
+
+    def columns(self, names: Sequence[str]) -> NDArray[np.intp]:
+        """Return the columns of some features, in the order asked for. (names,)
+
+        Raises:
+            FeatureTableError: The table lacks one of them.
+        """
+        return np.array([self.index(name) for name in names], dtype=np.intp)
+
+    def columns_of(self, other: FeatureTable) -> NDArray[np.intp]:
+        """Return where another table's columns stand in a row of this one. (columns of the other,)
+
+        Raises:
+            FeatureTableError: This table lacks one of them.
+        """
+        return self.columns(other.names)
+
+    def covers(self, other: FeatureTable) -> bool:
+        """Return whether a summary of this table holds everything that one of another table does."""
+        return {feature.name for feature in other.kinematic} <= {feature.name for feature in self.kinematic}
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,44 +189,81 @@ def _columns(signal: _Signal) -> tuple[Feature, ...]:
     return tuple(columns)
 
 
-KINEMATIC_FEATURES: tuple[Feature, ...] = tuple(f for s in _KINEMATIC_SIGNALS for f in _columns(s))
-"""What the vehicle sends, in this order. (55)"""
-
-ROAD_FEATURES: tuple[Feature, ...] = (
-    *(f for s in _ROAD_SIGNALS for f in _columns(s)),
-    Feature("section_length_m", "m", 10.0, 20_000.0),
+PAPER_TABLE = FeatureTable(
+    version=1,
+    kinematic=tuple(f for s in _KINEMATIC_SIGNALS for f in _columns(s)),
+    road=(*(f for s in _ROAD_SIGNALS for f in _columns(s)), Feature("section_length_m", "m", 10.0, 20_000.0)),
 )
-"""What follows from the map, in this order. (23)"""
+"""The paper's features: 55 that the vehicle sends, 23 of the road."""
 
-FEATURES: tuple[Feature, ...] = KINEMATIC_FEATURES + ROAD_FEATURES
-"""The regressor's columns. (78)"""
+TABLES: Mapping[str, FeatureTable] = {table.digest: table for table in (PAPER_TABLE,)}
+"""The tables this software speaks, by digest, oldest first."""
 
-FEATURE_NAMES: tuple[str, ...] = tuple(f.name for f in FEATURES)
+NEWEST_TABLE = PAPER_TABLE
+"""What the vehicle client makes and the laboratory learns from."""
 
-
-def _digest(features: tuple[Feature, ...]) -> str:
-    lines = [f"roadgrip feature table {TABLE_VERSION}"]
-    lines += [f"{f.name}|{f.unit}|{f.minimum!r}|{f.maximum!r}" for f in features]
-    return hashlib.sha256("\n".join(lines).encode()).hexdigest()[:16]
-
-
-TABLE_DIGEST = _digest(FEATURES)
-"""Sixteen hexadecimal characters that name this table."""
+KINEMATIC_FEATURES = NEWEST_TABLE.kinematic
+ROAD_FEATURES = NEWEST_TABLE.road
+FEATURES = NEWEST_TABLE.features
+FEATURE_NAMES = NEWEST_TABLE.names
+TABLE_DIGEST = NEWEST_TABLE.digest
 
 
-def check_digest(digest: str, *, subject: str) -> None:
-    """Do nothing if `digest` names this table.
+def table_of(digest: str, *, subject: str) -> FeatureTable:
+    """Return the table that a digest names.
 
     Args:
         digest: The digest that came with something.
         subject: What it came with, for the message.
 
     Raises:
-        FeatureTableError: It names another table; the message holds both digests.
+        FeatureTableError: This software does not speak that table; the message holds all digests.
     """
-    if digest != TABLE_DIGEST:
-        message = f"{subject} was made for feature table {digest}, this software speaks {TABLE_DIGEST}"
+    if digest not in TABLES:
+        message = f"{subject} was made for feature table {digest}, this software speaks {', '.join(TABLES)}"
         raise FeatureTableError(message)
+    return TABLES[digest]
+
+
+def check_digest(digest: str, *, subject: str) -> None:
+    """Do nothing if `digest` names a table that this software speaks, see `table_of`."""
+    table_of(digest, subject=subject)
+
+
+def summary_for(summary: KinematicSummary, table: FeatureTable) -> KinematicSummary:
+    """Return the same summary in the columns of another table.
+
+    Args:
+        summary: What a vehicle made of a drive.
+        table: One whose kinematic columns the summary's own table has, too.
+
+    Raises:
+        FeatureTableError: The summary's table is not spoken here, or lacks a column that is asked for.
+    """
+    if summary.table_digest == table.digest:
+        return summary
+    own = table_of(summary.table_digest, subject="the summary")
+    if not own.covers(table):
+        message = f"a summary of feature table {own.digest} lacks columns of {table.digest}"
+        raise FeatureTableError(message)
+    values = tuple(summary.values[own.index(feature.name)] for feature in table.kinematic)
+    return replace(summary, values=values, table_digest=table.digest)
+
+
+def summary_among(summary: KinematicSummary, table_digests: Collection[str]) -> KinematicSummary | None:
+    """Return the summary in the columns of the newest table that is among some and can be filled; None without one.
+
+    Args:
+        summary: What a vehicle made of a drive.
+        table_digests: What the receiver serves.
+    """
+    own = TABLES.get(summary.table_digest)
+    if own is None:
+        return summary if summary.table_digest in table_digests else None
+    for table in tuple(TABLES.values())[::-1]:
+        if table.digest in table_digests and own.covers(table):
+            return summary_for(summary, table)
+    return None
 
 
 def statistics_of(samples: FloatArray) -> FloatArray:
@@ -178,20 +314,20 @@ def _quantiles(ordered: FloatArray) -> FloatArray:
     return low + (high - low) * (at - below)
 
 
-def road_features(section: RoadSection) -> FloatArray:
-    """Return the features that follow from the map alone, in the order of `ROAD_FEATURES`.
+def road_features(section: RoadSection, table: FeatureTable = NEWEST_TABLE) -> FloatArray:
+    """Return the features that follow from the map alone, in the order of a table's `road`.
 
     Args:
         section: The map. Its profile is sampled every metre, so that the statistics do not depend on the speed.
+        table: Which features are asked for.
 
     Returns:
-        Statistics of the curvature and of the road difficulty index, and the length. (23,)
+        Statistics of the curvature and of the road difficulty index, the length. (23,) for the paper's table
     """
     profile = section.profile
-    return np.concatenate(
-        [
-            statistics_of(profile.curvature_1pm),
-            statistics_of(profile.road_difficulty_ratio),
-            [section.length_m],
-        ]
-    )
+    samples = (profile.curvature_1pm, profile.road_difficulty_ratio)
+    figures = {"section_length_m": section.length_m}
+    for signal, values in zip(_ROAD_SIGNALS, samples, strict=True):
+        names = [feature.name for feature in _columns(signal)]
+        figures.update(zip(names, statistics_of(values).tolist(), strict=True))
+    return np.array([figures[feature.name] for feature in table.road])

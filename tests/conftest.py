@@ -2,10 +2,14 @@
 
 import os
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
+
+from roadgrip.features import TABLES, FeatureTable
+from tests.roadgrip.tables import WIDER_TABLE
 
 PROJECT_ROOT = Path(__file__).resolve().parents[1]
 
@@ -29,3 +33,10 @@ def project_root() -> Path:
 def rng() -> np.random.Generator:
     """Return the same chance for every test, so that a failure repeats."""
     return np.random.default_rng(20_260_117)
+
+
+@pytest.fixture
+def wider_table(monkeypatch: pytest.MonkeyPatch) -> FeatureTable:
+    """Return a feature table with more columns, spoken as the newest one until the test ends."""
+    monkeypatch.setitem(cast("dict[str, FeatureTable]", TABLES), WIDER_TABLE.digest, WIDER_TABLE)
+    return WIDER_TABLE
