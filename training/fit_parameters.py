@@ -3,6 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import StrEnum
+
+
+class Target(StrEnum):
+    """What the trees add up to."""
+
+    MU = "mu"
+    """Friction; squared errors of friction weigh slippery roads little."""
+    LOG_MU = "log_mu"
+    """Its logarithm; squared errors are then, to first order, those relative to the truth."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -16,6 +26,8 @@ class FitParameters:
         row_share_frac: Share of the rows each tree sees.
         column_share_frac: Share of the features each tree sees.
         seed: Of the split and of the trees.
+        target: What the trees add up to.
+        bins_count: Into how many values each feature is sorted at most; fewer are faster and coarser.
     """
 
     trees_count: int = 500
@@ -24,3 +36,5 @@ class FitParameters:
     row_share_frac: float = 0.6
     column_share_frac: float = 0.5
     seed: int = 1
+    target: Target = Target.MU
+    bins_count: int = 256

@@ -10,8 +10,9 @@ import numpy as np
 import xgboost
 
 from roadgrip.units import FloatArray
+from training.accuracy import mape_ratio, relative_rms_ratio
 from training.dataset import DatasetError, Runs
-from training.fit_parameters import FitParameters
+from training.fit_parameters import FitParameters, Target
 
 RowIndices: TypeAlias = np.ndarray[tuple[int], np.dtype[np.intp]]
 """Rows of a table."""
@@ -21,6 +22,7 @@ HOLD_OUT_FRAC = 0.1
 ROAD_FOLDS_COUNT = 5
 FEWEST_ROADS = 10
 _FEWEST_RUNS = 50
+_TARGET_ATTRIBUTE = "target"
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,23 +42,76 @@ class Fitted:
     metrics: dict[str, float]
 
 
-def mape_ratio(truth_mu: FloatArray, estimate_mu: FloatArray) -> float:
-    """Return the mean absolute error relative to the truth.
+def estimate_mu(booster: xgboost.Booster, features: FloatArray, *, threads_count: int = 0) -> FloatArray:
+    """Return the friction the trees give for rows of features, whatever they add up to.
 
-    References:
-        Langstrand and Rabi, equation of the MAPE.
+    Args:
+        booster: What `grow_trees` returned, or such trees read from a file.
+        features: The columns it was grown on, in the same order. (n, columns)
+        threads_count: At most so many; 0 takes what there is.
+
+    Returns:
+        Friction. (n,)
     """
-    return float(np.mean(np.abs(truth_mu - estimate_mu) / truth_mu))
+    rows = xgboost.DMatrix(features.astype(np.float32), nthread=threads_count or None)
+    answers = booster.predict(rows).astype(np.float64)
+    return np.exp(answers) if target_of(booster) is Target.LOG_MU else answers
 
 
-def relative_rms_ratio(truth_mu: FloatArray, estimate_mu: FloatArray) -> float:
-    """Return the root mean square of the errors relative to the truth."""
-    return float(np.sqrt(np.mean(((truth_mu - estimate_mu) / truth_mu) ** 2)))
+def target_of(booster: xgboost.Booster) -> Target:
+    """Return what the trees add up to: friction, or its logarithm. The trees' file carries it along."""
+    return Target(booster.attr(_TARGET_ATTRIBUTE) or Target.MU)
 
 
-def estimate_mu(booster: xgboost.Booster, features: FloatArray) -> FloatArray:
-    """Return the friction the trees give for rows of features: (n, 78) in, (n,) out."""
-    return booster.predict(xgboost.DMatrix(features.astype(np.float32))).astype(np.float64)
+def grow_trees(
+    features: FloatArray,
+    label_mu: FloatArray,
+    parameters: FitParameters,
+    *,
+    weight_ratio: FloatArray | None = None,
+    threads_count: int = 0,
+    on_round: Callable[[int], None] | None = None,
+) -> xgboost.Booster:
+    """Return boosted trees that follow the labels.
+
+    The same rows in the same order give the same trees, whatever the number of threads.
+
+    Args:
+        features: What to learn from; (n, columns)
+        label_mu: The truth, positive. (n,)
+        parameters: How the trees are grown.
+        weight_ratio: What the squared error of each row counts; one each by default. (n,)
+        threads_count: At most so many; 0 takes what there is.
+        on_round: Called after each boosting round with its number, for a progress bar.
+    """
+    settings = {
+        "objective": "reg:squarederror",
+        "max_depth": parameters.depth_count,
+        "eta": parameters.learning_rate_ratio,
+        "subsample": parameters.row_share_frac,
+        "colsample_bytree": parameters.column_share_frac,
+        "tree_method": "hist",
+        "max_bin": parameters.bins_count,
+        "seed": parameters.seed,
+        "nthread": threads_count,
+    }
+    label = np.log(label_mu) if parameters.target is Target.LOG_MU else label_mu
+    rows = xgboost.QuantileDMatrix(
+        features.astype(np.float32),
+        label=label,
+        weight=weight_ratio,
+        max_bin=parameters.bins_count,
+        nthread=threads_count or None,
+    )
+    booster = xgboost.train(
+        settings,
+        rows,
+        num_boost_round=parameters.trees_count,
+        callbacks=[_RoundReporter(on_round)] if on_round else None,
+    )
+    if parameters.target is not Target.MU:
+        booster.set_attr(**{_TARGET_ATTRIBUTE: parameters.target.value})
+    return booster
 
 
 def fit(runs: Runs, parameters: FitParameters, *, on_round: Callable[[int], None] | None = None) -> Fitted:
@@ -119,20 +174,7 @@ def mape_ratio_on_unseen_roads(
 def _grown(
     runs: Runs, rows: RowIndices, parameters: FitParameters, *, on_round: Callable[[int], None] | None = None
 ) -> xgboost.Booster:
-    return xgboost.train(
-        {
-            "objective": "reg:squarederror",
-            "max_depth": parameters.depth_count,
-            "eta": parameters.learning_rate_ratio,
-            "subsample": parameters.row_share_frac,
-            "colsample_bytree": parameters.column_share_frac,
-            "tree_method": "hist",
-            "seed": parameters.seed,
-        },
-        xgboost.DMatrix(runs.features[rows].astype(np.float32), label=runs.labels["label_mu"][rows]),
-        num_boost_round=parameters.trees_count,
-        callbacks=[_RoundReporter(on_round)] if on_round else None,
-    )
+    return grow_trees(runs.features[rows], runs.labels["label_mu"][rows], parameters, on_round=on_round)
 
 
 def split_rows(runs: Runs, *, seed: int) -> tuple[RowIndices, RowIndices]:

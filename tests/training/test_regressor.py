@@ -1,32 +1,29 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+import xgboost
 
 from roadgrip.errors import BundleError
 from tests.training.runs import made_up_runs, shuffled
+from training.accuracy import mape_ratio
 from training.dataset import DatasetError, Runs
 from training.export import check_parity, onnx_estimate_mu, parity_rows, to_onnx
-from training.fit_parameters import FitParameters
+from training.fit_parameters import FitParameters, Target
 from training.regressor import (
     estimate_mu,
     fit,
+    grow_trees,
     judge,
-    mape_ratio,
     mape_ratio_on_unseen_roads,
-    relative_rms_ratio,
     split_rows,
+    target_of,
 )
 
 QUICK = FitParameters(trees_count=60)
-
-
-def test_mape_and_rms_of_known_numbers() -> None:
-    truth, estimate = np.array([0.2, 0.5]), np.array([0.22, 0.45])
-    assert mape_ratio(truth, estimate) == pytest.approx(0.1)
-    assert relative_rms_ratio(truth, estimate) == pytest.approx(0.1)
 
 
 def test_trees_learn_a_law_well_below_the_spread_of_the_labels() -> None:
@@ -137,3 +134,31 @@ def test_a_few_roads_say_nothing_about_the_next() -> None:
 def test_the_same_runs_give_the_same_model_byte_for_byte() -> None:
     runs = made_up_runs(400)
     assert to_onnx(fit(runs, QUICK).booster) == to_onnx(fit(shuffled(runs, seed=1), QUICK).booster)
+
+
+def test_trees_of_the_logarithm_answer_in_friction_and_say_so_in_their_file(tmp_path: Path) -> None:
+    runs = made_up_runs(1000)
+    features, label_mu = runs.features[runs.usable], runs.labels["label_mu"][runs.usable]
+    booster = grow_trees(features, label_mu, replace(QUICK, target=Target.LOG_MU))
+    assert mape_ratio(label_mu, estimate_mu(booster, features)) < 0.1
+    booster.save_model(tmp_path / "trees.ubj")
+    read = xgboost.Booster(model_file=tmp_path / "trees.ubj")
+    assert target_of(read) is Target.LOG_MU
+    assert np.array_equal(estimate_mu(read, features), estimate_mu(booster, features))
+
+
+def test_rows_of_no_weight_are_not_learned_from() -> None:
+    runs = made_up_runs(600)
+    features, label_mu = runs.features[runs.usable], runs.labels["label_mu"][runs.usable]
+    believed = np.arange(len(label_mu)) % 2 == 0
+    lied_mu = np.where(believed, label_mu, 2.0)
+    booster = grow_trees(features, lied_mu, QUICK, weight_ratio=believed.astype(float))
+    assert estimate_mu(booster, features).max() < 1.0
+
+
+def test_threads_do_not_change_the_trees() -> None:
+    runs = made_up_runs(600)
+    features, label_mu = runs.features[runs.usable], runs.labels["label_mu"][runs.usable]
+    one = grow_trees(features, label_mu, QUICK, threads_count=1)
+    two = grow_trees(features, label_mu, QUICK, threads_count=2)
+    assert np.array_equal(estimate_mu(one, features), estimate_mu(two, features))

@@ -1,0 +1,221 @@
+"""Who learns from what and is judged on what: nine tenths and one tenth, eight folds, estimates by strangers."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from roadgrip.units import FloatArray
+from training.accuracy import mape_ratio
+from training.dataset import DatasetError, Runs
+from training.regressor import HOLD_OUT_FRAC, RowIndices
+from training.study.chapter import Workbench
+from training.study.paper_features import PAPER_FEATURES, columns_by_name
+from training.study.recipes import PAPER_RECIPE, Learner, Recipe
+from vehicle_client.simulator.plan import SensorGrade
+
+FOLDS_COUNT = 8
+"""The paper's."""
+PAPER_SET = "paper"
+"""Name of the data set that the paper's results are made again with."""
+
+
+@dataclass(frozen=True, slots=True)
+class Split:
+    """The paper's split of its data.
+
+    Attributes:
+        runs: All of them.
+        train_rows: Nine tenths of the usable runs of every scenario, shuffled together.
+        test_rows: The rest.
+    """
+
+    runs: Runs
+    train_rows: RowIndices
+    test_rows: RowIndices
+
+    def features(self, names: Sequence[str], rows: RowIndices) -> FloatArray:
+        """Return features by name. (rows, names)"""
+        return columns_by_name(self.runs, names)[rows]
+
+    def label_mu(self, rows: RowIndices) -> FloatArray:
+        """Return the truth. (rows,)"""
+        return self.runs.labels["label_mu"][rows]
+
+    def scenario_rows(self, rows: RowIndices, scenario: str) -> RowIndices:
+        """Return those of the rows that were driven in a scenario."""
+        return rows[np.array(self.runs.scenario)[rows] == scenario]
+
+    @property
+    def scenarios(self) -> tuple[str, ...]:
+        """The scenarios, by name."""
+        return tuple(sorted({self.runs.scenario[i] for i in self.train_rows}))
+
+
+def paper_split(bench: Workbench, grade: SensorGrade) -> Split:
+    """Return the paper's data with the paper's split."""
+    return split_by_scenario(bench.runs(PAPER_SET, grade), seed=bench.seed)
+
+
+def split_by_scenario(runs: Runs, *, seed: int) -> Split:
+    """Return the usable runs in nine tenths and one tenth, scenario by scenario.
+
+    A run falls on the same side whatever the order of the rows.
+
+    Raises:
+        DatasetError: Some scenario has too few runs to be split.
+    """
+    order = np.argsort(np.array(runs.run_key), kind="stable")
+    usable = order[runs.usable[order]]
+    scenarios = np.array(runs.scenario)[usable]
+    rng = np.random.default_rng(seed)
+    train, test = [], []
+    for name in sorted(set(scenarios.tolist())):
+        shuffled = rng.permutation(usable[scenarios == name])
+        test_count = round(HOLD_OUT_FRAC * len(shuffled))
+        if test_count == 0:
+            raise DatasetError(f"{len(shuffled)} usable runs of {name} cannot be split into nine tenths and one")
+        test.append(shuffled[:test_count])
+        train.append(shuffled[test_count:])
+    if not train:
+        raise DatasetError("no usable runs")
+    return Split(runs, rng.permutation(np.concatenate(train)), np.concatenate(test))
+
+
+def fold_numbers(rows_count: int, folds_count: int, *, seed: int) -> RowIndices:
+    """Return which fold each row is judged in: chance deals them out, as evenly as it goes. (rows,)"""
+    return np.random.default_rng([seed, folds_count]).permutation(np.arange(rows_count) % folds_count)
+
+
+@dataclass(frozen=True, slots=True)
+class Judged:
+    """Estimates of rows by regressors that had not seen them.
+
+    Attributes:
+        label_mu: The truth. (n,)
+        estimate_mu: The estimate. (n,)
+        fold: The fold in which each row was judged. (n,)
+    """
+
+    label_mu: FloatArray
+    estimate_mu: FloatArray
+    fold: RowIndices
+
+    @property
+    def fold_mape_ratio(self) -> FloatArray:
+        """The MAPE of every fold. (folds,)"""
+        folds = range(int(self.fold.max()) + 1)
+        errors = [mape_ratio(self.label_mu[self.fold == k], self.estimate_mu[self.fold == k]) for k in folds]
+        return np.array(errors)
+
+
+def cross_validated(
+    learn: Learner,
+    features: FloatArray,
+    label_mu: FloatArray,
+    *,
+    seed: int,
+    folds_count: int = FOLDS_COUNT,
+    on_fold: Callable[[int], None] | None = None,
+) -> Judged:
+    """Return the estimate of every row by a regressor that learned from the other folds.
+
+    Args:
+        learn: How to learn; called once for each fold, from several threads.
+        features: (n, columns)
+        label_mu: The truth. (n,)
+        seed: Deals the rows to the folds.
+        folds_count: How many.
+        on_fold: Called after each fold with the number of those done.
+    """
+    fold = fold_numbers(len(label_mu), folds_count, seed=seed)
+    estimate = np.full(len(label_mu), np.nan)
+
+    def judge(number: int) -> None:
+        held_out = fold == number
+        estimator = learn(features[~held_out], label_mu[~held_out])
+        estimate[held_out] = estimator(features[held_out])
+
+    side_by_side([partial(judge, number) for number in range(folds_count)], on_done=on_fold)
+    return Judged(label_mu, estimate, fold)
+
+
+def side_by_side(jobs: Sequence[Callable[[], None]], *, on_done: Callable[[int], None] | None = None) -> None:
+    """Do jobs that let go of the interpreter, as the growing of trees does, on all cores.
+
+    The first error ends it; jobs that had not begun are dropped.
+
+    Args:
+        jobs: What to do, in any order.
+        on_done: Called with the number of jobs that are done.
+    """
+    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+        try:
+            for done, future in enumerate(as_completed([pool.submit(job) for job in jobs]), start=1):
+                future.result()
+                if on_done is not None:
+                    on_done(done)
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
+
+
+def recipe_fold_mape_ratio(bench: Workbench, grade: SensorGrade, recipe: Recipe) -> FloatArray:
+    """Return the MAPE of every fold of a recipe, cross-validated on the nine tenths of the paper's data. (folds,)"""
+
+    def work() -> dict[str, FloatArray]:
+        split = paper_split(bench, grade)
+        rows = split.train_rows
+        judged = cross_validated(
+            recipe.learn,
+            split.features(recipe.features, rows),
+            split.label_mu(rows),
+            seed=bench.seed,
+            on_fold=lambda done: bench.report(f"folds of {recipe.name}, {grade}", done, FOLDS_COUNT),
+        )
+        return {"mape_ratio": judged.fold_mape_ratio}
+
+    return bench.remembered(f"fold-mape-{grade}-{recipe.key}-{bench.seed}", work)["mape_ratio"]
+
+
+def paper_estimates(
+    bench: Workbench, grade: SensorGrade, *, features: Sequence[str] = PAPER_FEATURES, recipe: Recipe = PAPER_RECIPE
+) -> FloatArray:
+    """Return an estimate of every run of the paper's data by a regressor that had not seen it.
+
+    Eight folds over all usable runs, the tenth that is otherwise held out included: every run is judged by a regressor
+    that learned from seven eighths of the others.
+
+    Args:
+        bench: Where the data comes from.
+        grade: Sensors.
+        features: What to learn from: the paper's 78, or `training.study.feature_selection.selected_features`.
+        recipe: How to learn; its own features are not looked at.
+
+    Returns:
+        Friction, NaN where a run has no summary; rows as in `bench.runs("paper", grade)`. (runs,)
+    """
+    chosen = replace(recipe, features=tuple(features))
+
+    def work() -> dict[str, FloatArray]:
+        runs = bench.runs(PAPER_SET, grade)
+        # By the names of the runs, so that a run's fold does not hang on the order of the rows.
+        order = np.argsort(np.array(runs.run_key), kind="stable")
+        rows = order[runs.usable[order]]
+        judged = cross_validated(
+            chosen.learn,
+            columns_by_name(runs, chosen.features)[rows],
+            runs.labels["label_mu"][rows],
+            seed=bench.seed,
+            on_fold=lambda done: bench.report(f"estimates by strangers, {chosen.name}, {grade}", done, FOLDS_COUNT),
+        )
+        estimate = np.full(len(runs), np.nan)
+        estimate[rows] = judged.estimate_mu
+        return {"estimate_mu": estimate}
+
+    return bench.remembered(f"estimates-{grade}-{chosen.key}-{bench.seed}", work)["estimate_mu"]

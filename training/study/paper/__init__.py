@@ -1,0 +1,1 @@
+"""What the paper reports, made again: one chapter a module."""
