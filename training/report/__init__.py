@@ -1,0 +1,1 @@
+"""Findings of the study for people: one page for a browser, small files for a code host."""

@@ -1,0 +1,146 @@
+"""The course of a study: what is to be done, and doing it chapter by chapter, whatever one of them does."""
+
+from __future__ import annotations
+
+import traceback
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Protocol
+
+from training.study.chapter import Chapter, Verdict
+from training.study.finding import Computed, Finding, Timing
+from training.study.workbench import StudyWorkbench
+from vehicle_client.simulator.plan import SensorGrade
+
+
+class State(StrEnum):
+    """How far a stage is."""
+
+    DONE = "cached"
+    STALE = "to do again"
+    MISSING = "to do"
+
+
+@dataclass(frozen=True, slots=True)
+class Stage:
+    """One line of the plan.
+
+    Attributes:
+        name: Of the data set or chapter.
+        grade: Of the sensors.
+        state: How far it is.
+        took: What it took when it was done, if it was.
+        is_data: Whether it is a data set.
+    """
+
+    name: str
+    grade: SensorGrade
+    state: State
+    took: Timing | None = None
+    is_data: bool = False
+
+
+class Watcher(Protocol):
+    """Is told how a study goes on."""
+
+    def begins(self, what: str) -> None:
+        """A stage begins."""
+        ...
+
+    def ends(self, what: str, computed: Computed) -> None:
+        """A chapter has its result, just computed or kept."""
+        ...
+
+    def fails(self, what: str, details: str) -> None:
+        """A stage failed; the study goes on without it."""
+        ...
+
+
+def plan(bench: StudyWorkbench, chapters: tuple[Chapter, ...], grades: tuple[SensorGrade, ...]) -> tuple[Stage, ...]:
+    """Return the stages of a study in their order: the data sets that chapters need, then the chapters.
+
+    A chapter that is done needs its data sets no more.
+    """
+    stages: list[Stage] = []
+    needed: dict[tuple[str, SensorGrade], bool] = {}
+    for chapter in chapters:
+        for grade in grades:
+            kept = bench.kept(chapter, grade)
+            state = State.MISSING if kept is None else State.STALE if kept.stale else State.DONE
+            stages.append(Stage(chapter.name, grade, state, kept.timing if kept is not None else None))
+            if state is not State.DONE:
+                needed |= {(name, grade): bench.is_driven(name, grade) for name in chapter.needs}
+    data = (
+        Stage(name, grade, State.DONE if there else State.MISSING, is_data=True)
+        for (name, grade), there in needed.items()
+    )
+    return (*data, *stages)
+
+
+def conduct(
+    bench: StudyWorkbench, chapters: tuple[Chapter, ...], grades: tuple[SensorGrade, ...], watcher: Watcher
+) -> tuple[Finding, ...]:
+    """Return what the chapters find; one that fails is named as such and the others go on.
+
+    Args:
+        bench: What they work with.
+        chapters: In the order in which they are computed.
+        grades: Of the sensors.
+        watcher: Is told how it goes on.
+    """
+    findings = []
+    for chapter in chapters:
+        computed: dict[SensorGrade, Computed] = {}
+        failures: dict[str, str] = {}
+        for grade in grades:
+            what = f"{chapter.name}, {grade.value} sensors"
+            watcher.begins(what)
+            # A chapter may fail in any way its libraries know; hours of work by the others shall not be lost by it.
+            try:
+                kept = bench.kept(chapter, grade)
+                for name in chapter.needs if kept is None or kept.stale else ():
+                    bench.runs(name, grade)
+                computed[grade] = bench.computed(chapter, grade)
+            except Exception as error:  # noqa: BLE001 - see above
+                failures[grade.value] = _in_a_line(error)
+                watcher.fails(what, traceback.format_exc())
+            else:
+                watcher.ends(what, computed[grade])
+        findings.append(_finding(chapter, computed, failures, watcher))
+    return tuple(findings)
+
+
+def kept_findings(bench: StudyWorkbench, chapters: tuple[Chapter, ...], watcher: Watcher) -> tuple[Finding, ...]:
+    """Return what chapters found before, current or not, without computing anything; none for those that never did."""
+    findings = []
+    for chapter in chapters:
+        computed = {grade: kept for grade in SensorGrade if (kept := bench.kept(chapter, grade)) is not None}
+        if computed:
+            findings.append(_finding(chapter, computed, {}, watcher))
+    return tuple(findings)
+
+
+def _finding(
+    chapter: Chapter, computed: Mapping[SensorGrade, Computed], failures: dict[str, str], watcher: Watcher
+) -> Finding:
+    verdict, failure = _judged(chapter, computed)
+    if failure is not None:
+        watcher.fails(f"{chapter.name}, verdict", failure)
+        failures = {**failures, "verdict": failure.splitlines()[-1]}
+    return Finding(chapter, computed, verdict, failures)
+
+
+def _judged(chapter: Chapter, computed: Mapping[SensorGrade, Computed]) -> tuple[Verdict | None, str | None]:
+    """Return the verdict, or why there is none."""
+    if not computed:
+        return None, None
+    results = {grade: computed[grade].result for grade in SensorGrade if grade in computed}
+    try:
+        return chapter.verdict(results), None
+    except Exception:  # noqa: BLE001 - a verdict that fails takes nothing from the figures
+        return None, traceback.format_exc()
+
+
+def _in_a_line(error: Exception) -> str:
+    return f"{type(error).__name__}: {' '.join(str(error).split())}"[:300]

@@ -1,0 +1,134 @@
+"""Where the data sets of the study come from: designs that are driven once, and again after an edit of what drives."""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import json
+import platform
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from importlib.metadata import version
+from pathlib import Path
+from typing import Protocol
+
+from roadgrip.errors import ConfigurationError
+from training.dataset import RUNS_FILE_NAME, DatasetError, Runs, read_description
+from training.designs import named_design
+from training.machine import processor_model
+from training.scenarios import Design, Terms
+from training.simulation import Progress, design_description, drive_design
+from training.study.datasets import DATA_SETS, DataSet
+from vehicle_client.simulator.plan import SensorGrade
+
+USUAL_SEED = 1
+
+
+class Source(Protocol):
+    """Gives data sets by name."""
+
+    def digest(self, name: str, grade: SensorGrade) -> str:
+        """Return what changes with the data set, without making it."""
+        ...
+
+    def is_there(self, name: str, grade: SensorGrade) -> bool:
+        """Return whether the data set needs no driving."""
+        ...
+
+    def runs(self, name: str, grade: SensorGrade, on_progress: Callable[[int, int], None]) -> Runs:
+        """Return the data set, made now if need be; tells how many runs are done, of how many."""
+        ...
+
+
+class DesignSource:
+    """The data sets of the study, driven into folders."""
+
+    def __init__(self, folder: Path, *, quick: bool, seed: int, workers_count: int | None = None) -> None:
+        """Keep the data sets in a folder.
+
+        Args:
+            folder: Made when the first of them is driven.
+            quick: Whether the small sizes are wanted.
+            seed: Of the study; another one drives other runs.
+            workers_count: Processes; as many as there are processors if None.
+        """
+        self._folder = folder
+        self._quick = quick
+        self._seed = seed
+        self._workers_count = workers_count
+        self._designs: dict[tuple[str, SensorGrade], Design] = {}
+
+    def digest(self, name: str, grade: SensorGrade) -> str:
+        """Return what changes with the design and with the code that drives it: both fix every run."""
+        described = json.dumps(design_description(self.design(name, grade)), sort_keys=True)
+        return hashlib.sha256(described.encode()).hexdigest()[:16]
+
+    def is_there(self, name: str, grade: SensorGrade) -> bool:
+        """Return whether the design is driven to its end, by the present code."""
+        try:
+            origin = read_description(self.folder_of(name, grade) / RUNS_FILE_NAME)
+        except DatasetError:
+            return False
+        return design_description(self.design(name, grade)).items() <= origin.items()
+
+    def runs(self, name: str, grade: SensorGrade, on_progress: Callable[[int, int], None]) -> Runs:
+        """Return the runs of a data set, driven now as far as they are not there."""
+        folder = self.folder_of(name, grade)
+        provenance = {
+            "command": f"data set {name} of roadgrip-train study",
+            "processor": processor_model(),
+            "python": platform.python_version(),
+            **{f"version.{tool}": version(tool) for tool in ("roadgrip", "numpy", "numba")},
+        }
+
+        def tell(now: Progress) -> None:
+            on_progress(now.done_count, now.wanted_count)
+
+        with _alone_in(folder):
+            return drive_design(
+                self.design(name, grade),
+                folder,
+                workers_count=self._workers_count,
+                provenance=provenance,
+                on_progress=tell,
+            )
+
+    def design(self, name: str, grade: SensorGrade) -> Design:
+        """Return the design of a data set, at the size that is wanted."""
+        if (name, grade) not in self._designs:
+            self._designs[name, grade] = self._new_design(name, grade)
+        return self._designs[name, grade]
+
+    def folder_of(self, name: str, grade: SensorGrade) -> Path:
+        """Return where a data set lies."""
+        words = [name, grade.value]
+        words += ["quick"] if self._quick else []
+        words += [f"seed{self._seed}"] if self._seed != USUAL_SEED else []
+        return self._folder / "-".join(words)
+
+    def _new_design(self, name: str, grade: SensorGrade) -> Design:
+        wanted = data_set(name)
+        seed = wanted.seed + self._seed - USUAL_SEED
+        terms = Terms(wanted.design, seed, grade, wanted.driver_kind)
+        return named_design(wanted.design, terms, wanted.quick_size if self._quick else wanted.size)
+
+
+def data_set(name: str) -> DataSet:
+    """Return a data set of the study.
+
+    Raises:
+        ConfigurationError: There is none of that name.
+    """
+    for known in DATA_SETS:
+        if known.name == name:
+            return known
+    raise ConfigurationError(f"no data set {name!r}; there are {', '.join(known.name for known in DATA_SETS)}")
+
+
+@contextmanager
+def _alone_in(folder: Path) -> Iterator[None]:
+    """Wait until no other process drives into a folder: both parts of the study may be run side by side."""
+    folder.mkdir(parents=True, exist_ok=True)
+    with (folder / ".lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
