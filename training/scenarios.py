@@ -8,7 +8,7 @@ and automotive sensors watch the same drives.
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -18,9 +18,16 @@ from training.friction_profiles import two_frictions
 from training.manoeuvres import StraightCase, draw_extreme_plan, draw_straight_plan
 from vehicle_client.estimation.vehicle_geometry import XC90 as XC90_GEOMETRY
 from vehicle_client.estimation.vehicle_geometry import VehicleGeometry
-from vehicle_client.simulator.amplitudes import SENSORS
+from vehicle_client.simulator.amplitudes import SENSORS, scaled
 from vehicle_client.simulator.map_error import map_as_surveyed
-from vehicle_client.simulator.plan import DriverKind, PassagePlan, SensorGrade, draw_plan
+from vehicle_client.simulator.plan import (
+    UNSCALED,
+    AmplitudeScales,
+    DriverKind,
+    PassagePlan,
+    SensorGrade,
+    draw_plan,
+)
 from vehicle_client.simulator.variation import draw_vehicle, geometry_of
 from vehicle_client.simulator.vehicle import XC90, Vehicle
 
@@ -104,12 +111,18 @@ class Terms:
         seed: Changes every run.
         sensor_grade: Which sensors the vehicles carry.
         driver_kind: What their drivers go by.
+        scales: How many times as large disturbances are as usual; the drivers and the draws stay the same.
     """
 
     design_name: str
     seed: int
     sensor_grade: SensorGrade
     driver_kind: DriverKind = DriverKind.PRUDENT
+    scales: AmplitudeScales = field(default=UNSCALED, repr=False)
+
+    def __str__(self) -> str:
+        """Return all of it as text; scales are named where they are not 1, so that usual designs keep their names."""
+        return repr(self) if self.scales == UNSCALED else f"{self!r}|{self.scales}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,7 +190,7 @@ def run_of(terms: Terms, scenario: Scenario, *, base_friction_mu: float, number:
         vehicle = draw_vehicle(chance(terms.seed, f"{drawn_as}|vehicle"))
         geometry = geometry_of(vehicle)
     plan = _plan(chance(terms.seed, drawn_as), terms, scenario, base_friction_mu=base_friction_mu, vehicle=vehicle)
-    return Run(key, number, plan, geometry)
+    return Run(key, number, replace(plan, scales=terms.scales), geometry)
 
 
 def _plan(
@@ -224,7 +237,8 @@ def surveyed_map(terms: Terms, section: RoadSection) -> RoadSection:
         section: The road as it is.
     """
     rng = chance(terms.seed, f"map|{section.section_id}")
-    return map_as_surveyed(section, rng=rng, sensors=SENSORS[terms.sensor_grade])
+    sensors = scaled(SENSORS[terms.sensor_grade], terms.scales.sensors_ratio)
+    return map_as_surveyed(section, rng=rng, sensors=sensors)
 
 
 def chance(seed: int, purpose: str) -> np.random.Generator:

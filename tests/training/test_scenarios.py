@@ -10,7 +10,7 @@ from roadgrip.section import RoadSection
 from roadgrip.sections import read_section
 from training.random_roads import LENGTH_RANGE_M, RADIUS_RANGE_M, random_section
 from training.scenarios import Design, Run, Scenario, Terms, attempted, run_of, surveyed_map
-from vehicle_client.simulator.plan import DriverKind, SensorGrade
+from vehicle_client.simulator.plan import UNSCALED, AmplitudeScales, DriverKind, SensorGrade
 
 TERMS = Terms("test", 1, SensorGrade.IDEAL)
 
@@ -120,3 +120,29 @@ def test_random_roads_stay_within_the_papers_range_of_risk() -> None:
         assert LENGTH_RANGE_M[0] - 1.0 <= section.length_m <= LENGTH_RANGE_M[1] + 1.0
         assert 0.85 * RADIUS_RANGE_M[0] <= section.tightest_radius_m <= RADIUS_RANGE_M[1]
         assert 20.0 / 3.6 - 0.01 <= section.speed_limit_mps <= 80.0 / 3.6 + 0.01
+
+
+def test_larger_disturbances_meet_the_same_drivers(scenario: Scenario) -> None:
+    scales = AmplitudeScales(sensors_ratio=2.0, roughness_ratio=0.5)
+    for usual, other in zip(
+        runs(scenario, count=20), runs(scenario, count=20, terms=replace(TERMS, scales=scales)), strict=True
+    ):
+        assert other.key == usual.key
+        assert other.plan.scales == scales
+        assert replace(other.plan, scales=UNSCALED) == usual.plan
+
+
+def test_scales_are_part_of_a_name_only_where_they_are_not_one() -> None:
+    assert str(replace(TERMS, scales=AmplitudeScales())) == repr(TERMS)
+    named = {str(replace(TERMS, scales=AmplitudeScales(*scales))) for scales in ((1.0, 1.0), (2.0, 1.0), (1.0, 2.0))}
+    assert len(named) == 3
+
+
+def test_a_map_errs_as_much_as_the_scale_says(s_turn: RoadSection) -> None:
+    terms = replace(TERMS, sensor_grade=SensorGrade.AUTOMOTIVE)
+    bank = [
+        surveyed_map(replace(terms, scales=AmplitudeScales(sensors_ratio=ratio)), s_turn).profile.cross_slope_ratio
+        for ratio in (0.0, 1.0, 2.0)
+    ]
+    assert np.array_equal(bank[0], s_turn.profile.cross_slope_ratio)
+    assert np.std(bank[2] - bank[0]) == pytest.approx(2.0 * np.std(bank[1] - bank[0]), rel=0.05)

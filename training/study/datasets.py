@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from training.designs import Size
-from vehicle_client.simulator.plan import DriverKind
+from vehicle_client.simulator.plan import UNSCALED, AmplitudeScales, DriverKind
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,6 +20,7 @@ class DataSet:
         driver_kind: What the drivers go by.
         seed: Of the design.
         purpose: What it is for, in a line.
+        scales: How many times as large disturbances are as usual.
     """
 
     name: str
@@ -29,6 +30,22 @@ class DataSet:
     purpose: str
     driver_kind: DriverKind = DriverKind.PRUDENT
     seed: int = 1
+    scales: AmplitudeScales = UNSCALED
+
+
+SENSITIVITY_SIZE = Size(60)
+SENSITIVITY_QUICK_SIZE = Size(10)
+
+
+def _scaled_set(name: str, what: str, scales: AmplitudeScales) -> DataSet:
+    return DataSet(
+        name=name,
+        design="paper",
+        size=SENSITIVITY_SIZE,
+        quick_size=SENSITIVITY_QUICK_SIZE,
+        purpose=f"the first runs of the paper's matrix once more, {what}",
+        scales=scales,
+    )
 
 
 DATA_SETS: tuple[DataSet, ...] = (
@@ -77,4 +94,8 @@ DATA_SETS: tuple[DataSet, ...] = (
         seed=2,
         purpose="the same roads with another vehicle in every run",
     ),
+    _scaled_set("sensors-halved", "with half the errors of sensors and map", AmplitudeScales(sensors_ratio=0.5)),
+    _scaled_set("sensors-doubled", "with twice the errors of sensors and map", AmplitudeScales(sensors_ratio=2.0)),
+    _scaled_set("roughness-halved", "on roads half as uneven", AmplitudeScales(roughness_ratio=0.5)),
+    _scaled_set("roughness-doubled", "on roads twice as uneven", AmplitudeScales(roughness_ratio=2.0)),
 )

@@ -74,6 +74,21 @@ ALL_SYSTEMS = StabilitySystems()
 NO_SYSTEMS = StabilitySystems(abs_on=False, tcs_on=False, esc_on=False)
 
 
+class AmplitudeScales(NamedTuple):
+    """How many times as large disturbances are as their sources say: for tables of sensitivity, and nothing else.
+
+    Attributes:
+        sensors_ratio: Of every error of sensors and map.
+        roughness_ratio: Of the heights of the road's surface.
+    """
+
+    sensors_ratio: float = 1.0
+    roughness_ratio: float = 1.0
+
+
+UNSCALED = AmplitudeScales()
+
+
 class Braking(NamedTuple):
     """An order to brake on a given stretch, for tests of brakes and of the observer's straight case.
 
@@ -155,6 +170,7 @@ class PassagePlan:
         stability: Which of ABS, traction control and ESC work.
         roughness: How uneven the road is; a plane if None.
         vehicle: The car.
+        scales: How many times as large disturbances are as usual.
     """
 
     base_friction_mu: float
@@ -172,6 +188,7 @@ class PassagePlan:
     roughness: RoughnessClass | None = RoughnessClass.A
     pressure_pa: float = REFERENCE_PRESSURE_PA
     vehicle: Vehicle = XC90
+    scales: AmplitudeScales = UNSCALED
 
     @property
     def tyre_factor(self) -> float:

@@ -49,7 +49,7 @@ from vehicle_client.simulator.plan import (
     draw_plan,
 )
 from vehicle_client.simulator.seats import Lanes
-from vehicle_client.simulator.sensors import SENSORS, Motion, gnss_track, trace_of
+from vehicle_client.simulator.sensors import SENSORS, Motion, gnss_track, scaled, trace_of
 from vehicle_client.simulator.surface import class_density_m3, roughness_m
 from vehicle_client.simulator.track import Track, bare_track_of, with_friction
 
@@ -175,7 +175,9 @@ def _seat(lanes: Lanes, lane: int, section: RoadSection, plan: PassagePlan, trac
     rough = np.empty((0, 2))
     if plan.roughness is not None:
         rough = roughness_m(
-            surface_rng, length_m=track.length_m + track.step_m, density_m3=class_density_m3(plan.roughness)
+            surface_rng,
+            length_m=track.length_m + track.step_m,
+            density_m3=plan.scales.roughness_ratio**2 * class_density_m3(plan.roughness),
         )
     target_mps = section.speed_limit_mps if plan.target_speed_mps is None else plan.target_speed_mps
     finish_m = section.length_m + plan.exit_m
@@ -209,7 +211,7 @@ def _rng_of(plan: PassagePlan, purpose: int) -> np.random.Generator:
 
 def _drive_of(section: RoadSection, plan: PassagePlan, log: FloatArray, outcome: DriveOutcome) -> Drive:
     truth = _truth(log)
-    sensors = SENSORS[plan.sensor_grade]
+    sensors = scaled(SENSORS[plan.sensor_grade], plan.scales.sensors_ratio)
     gnss = None
     if plan.with_gnss:
         rng = _rng_of(plan, _GNSS)
@@ -253,6 +255,9 @@ def _check(section: RoadSection, plan: PassagePlan) -> None:
         raise ValueError(message)
     if not 150_000.0 <= plan.pressure_pa <= 350_000.0:
         message = f"a tyre pressure of {plan.pressure_pa / PASCAL_PER_BAR:g} bar is not between 1.5 and 3.5"
+        raise ValueError(message)
+    if not all(0.0 <= ratio <= 10.0 for ratio in plan.scales):
+        message = f"disturbances {plan.scales} times as large as usual are beyond all measure"
         raise ValueError(message)
     order = plan.braking
     if order is not None and not (order.decel_mps2 > 0.0 and 0.5 <= order.end_speed_mps <= 80.0):

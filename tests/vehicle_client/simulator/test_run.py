@@ -12,6 +12,7 @@ from roadgrip.units import GRAVITY_MPS2, kph_to_mps
 from tests.vehicle_client.simulator.rig import curvy_road
 from vehicle_client.estimation.trace import check_trace
 from vehicle_client.simulator.lanes import LANES
+from vehicle_client.simulator.plan import AmplitudeScales
 from vehicle_client.simulator.run import (
     NO_SYSTEMS,
     Braking,
@@ -350,3 +351,26 @@ def test_the_shortest_section_is_driven_without_approach_and_exit(approach_m):
     assert drive.completed
     assert drive.truth.station_m[0] == -approach_m
     assert all(np.isfinite(values).all() for _, values in arrays_of(drive))
+
+
+def test_sensors_without_errors_are_ideal_ones():
+    exact = simulate_passage(ROAD, replace(REAL, scales=AmplitudeScales(sensors_ratio=0.0)))
+    assert same(exact, simulate_passage(ROAD, replace(REAL, sensor_grade=SensorGrade.IDEAL)))
+
+
+def test_the_roughness_scale_scales_what_shakes_the_car():
+    def shaking_n(ratio):
+        plan = replace(CALM, roughness=RoughnessClass.A, scales=AmplitudeScales(roughness_ratio=ratio))
+        smooth = simulate_passage(ROAD, CALM).truth.wheel_load_n
+        rough = simulate_passage(ROAD, plan).truth.wheel_load_n
+        count = min(len(smooth), len(rough))
+        return float(np.std(rough[:count] - smooth[:count]))
+
+    assert shaking_n(0.0) == pytest.approx(0.0, abs=1e-6)
+    assert shaking_n(2.0) == pytest.approx(2.0 * shaking_n(1.0), rel=0.2)
+
+
+@pytest.mark.parametrize("scales", [AmplitudeScales(sensors_ratio=-1.0), AmplitudeScales(roughness_ratio=np.nan)])
+def test_disturbances_beyond_measure_are_refused(scales):
+    with pytest.raises(ValueError, match="disturbances"):
+        simulate_passage(ROAD, replace(CALM, scales=scales))
