@@ -109,7 +109,7 @@ class DesignSource:
     def _new_design(self, name: str, grade: SensorGrade) -> Design:
         wanted = data_set(name)
         seed = wanted.seed + self._seed - USUAL_SEED
-        terms = Terms(wanted.design, seed, grade, wanted.driver_kind)
+        terms = Terms(wanted.design, seed, grade, wanted.driver_kind, wanted.scales)
         return named_design(wanted.design, terms, wanted.quick_size if self._quick else wanted.size)
 
 
