@@ -5,15 +5,14 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Sequence
 
-import numpy as np
-
-from roadgrip.features import FEATURE_NAMES, STATISTICS
+from roadgrip.features import NEWEST_TABLE, PAPER_TABLE, STATISTICS
 from roadgrip.units import FloatArray
-from training.dataset import DatasetError, Runs
+from training.dataset import Runs
 
-KINEMATIC_SIGNALS = ("steer", "sideslip", "sideslip_rate", "yaw_rate_excess", "speed")
-ROAD_SIGNALS = ("curvature", "road_difficulty")
-LENGTH = "section_length_m"
+PAPER_FEATURES: tuple[str, ...] = PAPER_TABLE.names
+"""What the paper learns from: what the vehicle sends, then the road's geometry. (78)"""
+KINEMATIC_FEATURES: tuple[str, ...] = tuple(feature.name for feature in PAPER_TABLE.kinematic)
+"""Those that the vehicle sends: no road geometry. (55)"""
 
 MEAN_AND_STD = ("mean", "std")
 QUANTILES = ("q20", "q40", "q60", "q80", "min", "median", "max")
@@ -34,12 +33,6 @@ def statistic_of(name: str) -> str:
     return match["statistic"] if match else ""
 
 
-PAPER_FEATURES: tuple[str, ...] = tuple(
-    name for name in FEATURE_NAMES if name == LENGTH or signal_of(name) in (*KINEMATIC_SIGNALS, *ROAD_SIGNALS)
-)
-"""What the paper learns from. (78)"""
-
-
 def without_signals(names: Sequence[str], signals: Collection[str]) -> tuple[str, ...]:
     """Return the features that summarise none of the signals, in order."""
     return tuple(name for name in names if signal_of(name) not in signals)
@@ -50,20 +43,14 @@ def of_statistics(names: Sequence[str], statistics: Collection[str]) -> tuple[st
     return tuple(name for name in names if statistic_of(name) in statistics)
 
 
-KINEMATIC_FEATURES = without_signals(PAPER_FEATURES, {*ROAD_SIGNALS, LENGTH})
-"""Those that the vehicle sends: no road geometry. (55)"""
-SPEED_FEATURES = tuple(name for name in PAPER_FEATURES if signal_of(name) == "speed")
-"""Those that a driver who knows the friction gives it away by. (11)"""
+SPEED_FEATURES: tuple[str, ...] = tuple(name for name in PAPER_FEATURES if signal_of(name) == "speed")
+"""Those by which a driver who knows the friction gives it away. (11)"""
 
 
 def columns_by_name(runs: Runs, names: Sequence[str]) -> FloatArray:
-    """Return some features of all runs, in the order of the names.
+    """Return some features of all runs, in the order of the names. (runs, names)
 
     Raises:
-        DatasetError: There is no such feature.
+        FeatureTableError: There is no such feature.
     """
-    place = {name: column for column, name in enumerate(FEATURE_NAMES)}
-    missing = [name for name in names if name not in place]
-    if missing:
-        raise DatasetError(f"the feature table has no {', '.join(missing)}")
-    return runs.features[:, np.array([place[name] for name in names], dtype=np.intp)]
+    return runs.features[:, NEWEST_TABLE.columns(names)]

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, is_dataclass, replace
 from typing import TypeAlias
 
 from roadgrip.units import FloatArray
+from training.code_identity import function_digest
 from training.fit_parameters import FitParameters
 from training.regressor import estimate_mu, grow_trees
 from training.study.paper_features import PAPER_FEATURES, SPEED_FEATURES
@@ -15,7 +16,11 @@ from training.study.paper_features import PAPER_FEATURES, SPEED_FEATURES
 Estimator: TypeAlias = Callable[[FloatArray], FloatArray]
 """What was learned: rows of features in, (n, columns), friction out, (n,)."""
 Learner: TypeAlias = Callable[[FloatArray, FloatArray], Estimator]
-"""How to learn: rows of features, (n, columns), and the friction of each, (n,); several may learn at a time."""
+"""How to learn: from rows of features, (n, columns), and the friction of each, (n,); several may learn at a time.
+
+Either a function at the top of a module or a frozen record with `__call__`: only these can be told apart by what they
+do, and what was computed before is only of use to the same learner.
+"""
 
 PAPER_FIT = FitParameters(
     trees_count=100, depth_count=6, learning_rate_ratio=0.3, row_share_frac=1.0, column_share_frac=1.0
@@ -39,22 +44,41 @@ class Recipe:
 
     @property
     def key(self) -> str:
-        """Name and features as something that fits a file's name."""
-        digest = hashlib.sha256("\n".join(self.features).encode()).hexdigest()[:12]
-        return f"{self.name.replace(' ', '-')}-{digest}"
+        """What changes with name, features, way of learning and its code, short enough for a file's name.
+
+        Raises:
+            TypeError: The learner is a closure: what it holds cannot be seen from outside.
+        """
+        learn: object = self.learn
+        held = repr(learn) if is_dataclass(learn) else ""
+        place = str(getattr(learn, "__qualname__", type(learn).__qualname__))
+        if "<" in place:
+            raise TypeError(f"{place} is no learner: it is neither at the top of a module nor a record")
+        code = function_digest(str(learn.__module__), place.split(".", 1)[0])
+        whole = "\n".join((code, held, *self.features))
+        return f"{self.name.replace(' ', '-')}-{hashlib.sha256(whole.encode()).hexdigest()[:12]}"
 
 
-def boosted(parameters: FitParameters) -> Learner:
-    """Return the learner that grows boosted trees, one thread each: folds learn side by side."""
+@dataclass(frozen=True, slots=True)
+class Boosted:
+    """The learner that grows boosted trees, one thread each: folds learn side by side.
 
-    def learn(features: FloatArray, label_mu: FloatArray) -> Estimator:
-        booster = grow_trees(features, label_mu, parameters, threads_count=1)
+    Attributes:
+        parameters: How the trees are grown.
+        relative: Whether each squared error is taken relative to the truth.
+    """
+
+    parameters: FitParameters
+    relative: bool = False
+
+    def __call__(self, features: FloatArray, label_mu: FloatArray) -> Estimator:
+        """Return what the trees make of features."""
+        weight = 1.0 / label_mu**2 if self.relative else None
+        booster = grow_trees(features, label_mu, self.parameters, weight_ratio=weight, threads_count=1)
         return lambda rows: estimate_mu(booster, rows, threads_count=1)
 
-    return learn
 
-
-PAPER_RECIPE = Recipe("paper", PAPER_FEATURES, boosted(PAPER_FIT))
+PAPER_RECIPE = Recipe("paper", PAPER_FEATURES, Boosted(PAPER_FIT))
 """The paper's regressor: 78 features, 100 trees of depth 6."""
 SPEED_ONLY_RECIPE = replace(PAPER_RECIPE, name="speed only", features=SPEED_FEATURES)
 """The same from nothing but the speed: what the driver's caution alone gives away."""

@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from roadgrip.errors import FeatureTableError
 from tests.training.runs import made_up_runs
-from training.dataset import DatasetError
 from training.study.paper_features import (
     KINEMATIC_FEATURES,
     PAPER_FEATURES,
@@ -57,5 +57,5 @@ def test_columns_come_in_the_order_of_the_names():
 
 
 def test_a_feature_that_is_not_in_the_table_is_named():
-    with pytest.raises(DatasetError, match="no colour"):
+    with pytest.raises(FeatureTableError, match="colour"):
         columns_by_name(made_up_runs(20), ("colour",))
