@@ -90,6 +90,26 @@ def median_ranks(count: int, *, confidence_frac: float) -> MedianRanks:
     return MedianRanks(low_rank=low_rank, high_rank=count + 1 - low_rank, coverage_frac=coverage_frac)
 
 
+def ranks_despite_liars(count: int, *, liars_count: int, confidence_frac: float) -> MedianRanks:
+    """Return ranks of the whole sample that enclose the median of the honest whatever the others say.
+
+    Of n values k are arbitrary and n - k independent draws. The j-th of the honest lies between the j-th and the
+    (j + k)-th of all; so if ranks j and n - k + 1 - j enclose the true median among the honest alone, ranks j and
+    n + 1 - j do so among all.
+
+    Args:
+        count: Number of values, honest and not.
+        liars_count: k, how many may be arbitrary, fewer than all.
+        confidence_frac: Probability asked for, between 0 and 1.
+    """
+    if not 0 <= liars_count < count:
+        raise ValueError(f"{liars_count} liars among {count} leave nobody to believe")
+    honest = median_ranks(count - liars_count, confidence_frac=confidence_frac)
+    return MedianRanks(
+        low_rank=honest.low_rank, high_rank=count + 1 - honest.low_rank, coverage_frac=honest.coverage_frac
+    )
+
+
 def median_of_ordered(ordered_mu: Sequence[float]) -> float:
     """Return the median of values that are sorted already, at least one."""
     middle = len(ordered_mu) // 2

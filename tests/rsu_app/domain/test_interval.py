@@ -16,6 +16,7 @@ from rsu_app.domain.interval import (
     median_of_ordered,
     median_ranks,
     mu_low_of_median,
+    ranks_despite_liars,
 )
 
 POLICY = IntervalPolicy()
@@ -138,3 +139,21 @@ def test_the_lower_end_grows_with_the_median():
 def test_a_policy_that_contradicts_itself_is_refused(decisions):
     with pytest.raises(ValueError, match=r".+"):
         IntervalPolicy(**decisions)
+
+
+@given(st.integers(1, 200), st.integers(0, 60), st.floats(0.5, 0.99))
+def test_ranks_despite_liars_enclose_those_of_the_honest_alone(honest_count, liars_count, confidence_frac):
+    alone = median_ranks(honest_count, confidence_frac=confidence_frac)
+    count = honest_count + liars_count
+    ranks = ranks_despite_liars(count, liars_count=liars_count, confidence_frac=confidence_frac)
+    honest = np.linspace(0.3, 0.5, honest_count)
+    for lie_mu in (0.0, 0.4, 1.0):
+        all_of_them = np.sort(np.append(honest, np.full(liars_count, lie_mu)))
+        assert all_of_them[ranks.low_rank - 1] <= honest[alone.low_rank - 1]
+        assert all_of_them[ranks.high_rank - 1] >= honest[alone.high_rank - 1]
+    assert ranks.coverage_frac == alone.coverage_frac
+
+
+def test_among_liars_alone_there_is_nobody_to_believe():
+    with pytest.raises(ValueError, match="nobody"):
+        ranks_despite_liars(3, liars_count=3, confidence_frac=0.95)
