@@ -172,26 +172,26 @@ def posterior_placement(
     level_span = log(policy.highest_noise_ratio / policy.lowest_noise_ratio) / (_NOISE_LEVELS - 1)
     level = np.log(noise_ratio / policy.lowest_noise_ratio) / level_span
     place = np.clip(np.log(mu / median_mu) / LOG_STEP_RATIO, -_HALF_BINS, _HALF_BINS) + _HALF_BINS
-    log_posterior: FloatArray = np.zeros(2 * _HALF_GRID + 1)
+    log_posterior_weights: FloatArray = np.zeros(2 * _HALF_GRID + 1)
     for kind in np.unique(at_least).tolist():
         chosen = at_least == kind
         counts = _binned(level[chosen], place[chosen])
         for row in np.flatnonzero(counts.any(axis=1)):
             # Correlation runs from the largest mu_new to the smallest.
-            log_posterior += np.correlate(tables[int(kind), row], counts[row], mode="valid")[::-1]
+            log_posterior_weights += np.correlate(tables[int(kind), row], counts[row], mode="valid")[::-1]
     log_mu = _GRID_LOG_RATIO + log(median_mu / MEDIAN_TYRE_RATIO)
-    return placement(log_posterior, log_mu=log_mu, confidence_frac=policy.confidence_frac)
+    return placement(log_posterior_weights, log_mu=log_mu, confidence_frac=policy.confidence_frac)
 
 
-def placement(log_posterior: FloatArray, *, log_mu: FloatArray, confidence_frac: float) -> Placement:
+def placement(log_posterior_weights: FloatArray, *, log_mu: FloatArray, confidence_frac: float) -> Placement:
     """Return the middle and the credible ends of a posterior on an even grid of ln mu_new.
 
     Args:
-        log_posterior: Logarithm of the posterior, up to a constant. (k,)
+        log_posterior_weights: Logarithm of the posterior, up to a constant. (k,)
         log_mu: The grid, ascending in even steps. (k,)
         confidence_frac: Probability between the ends.
     """
-    mass = np.exp(log_posterior - log_posterior.max())
+    mass = np.exp(log_posterior_weights - log_posterior_weights.max())
     mass /= mass.sum()
     # Each mass fills its cell evenly, so quantiles move smoothly with the data.
     edges = np.concatenate([log_mu - (log_mu[1] - log_mu[0]) / 2.0, [log_mu[-1] + (log_mu[1] - log_mu[0]) / 2.0]])
