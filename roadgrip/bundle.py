@@ -1,36 +1,40 @@
 """What a model bundle must say about itself.
 
-A bundle is a folder: `manifest.json`, `model.onnx`, and nothing that is not named in the manifest with its SHA-256.
-The manifest holds everything a road side unit needs to trust the model before the first passage: the feature table
-it was made for, the envelope it was trained in, and golden vectors, rows with the answers the model gave in the
-laboratory.
+A bundle is a folder: `manifest.json`, model files, and nothing that is not named in the manifest with its SHA-256. It
+holds one friction model per feature table it serves, each perhaps with a second model that expects the first one's
+error. The manifest holds everything a road side unit needs to trust them before the first passage: the feature
+table of each, the envelope it was trained in, and golden vectors, rows with the answers it gave in the laboratory.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from math import exp, isfinite
 from typing import Any
 
 from roadgrip.errors import BundleError
-from roadgrip.features import FEATURE_NAMES, check_digest
+from roadgrip.features import table_of
 
 MANIFEST_NAME = "manifest.json"
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 GOLDEN_TOLERANCE_MU = 1e-5
-"""How far the model may answer from its golden vectors on other hardware."""
+"""How far a model may answer from its golden vectors on other hardware."""
+GOLDEN_TOLERANCE_RATIO = 1e-5
+"""The same for the expected error."""
 
 
 @dataclass(frozen=True, slots=True)
 class Envelope:
-    """The region of feature space the model was trained in.
+    """The region of feature space a model was trained in.
 
     Attributes:
         lower: Lower edge per feature, in the order of the table.
         upper: Upper edge per feature.
         outside_allowed_count: Features that may lie outside before a passage counts as outside; more than zero,
-            since among 78 features of an ordinary passage some lie beyond any quantile.
+            since among many features of an ordinary passage some lie beyond any quantile.
     """
 
     lower: tuple[float, ...]
@@ -40,10 +44,82 @@ class Envelope:
 
 @dataclass(frozen=True, slots=True)
 class GoldenVectors:
-    """Feature rows and the friction the model gave for them in the laboratory."""
+    """Feature rows and what the models gave for them in the laboratory.
+
+    Attributes:
+        rows: In the order of the table.
+        mu: The friction for each row.
+        expected_error_ratio: The expected error for each row; None without a model for it.
+    """
 
     rows: tuple[tuple[float, ...], ...]
     mu: tuple[float, ...]
+    expected_error_ratio: tuple[float, ...] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Conformal:
+    """What turns an expected error into an interval, and a doubtful estimate into "at least".
+
+    The true friction lies between `mu_low` and `mu_high` with the probability `coverage_frac`, over passages like
+    those of the calibration, of which the models learned nothing.
+
+    Attributes:
+        coverage_frac: Share of the calibration's passages whose true friction lay between the bounds.
+        quantile: How many expected errors the bounds are away, on the logarithm of friction.
+        doubtful_above_ratio: An estimate with a larger expected error is no estimate: such a passage, which used
+            little of the grip there was, only says that the friction is at least its lower bound.
+
+    References:
+        Papadopoulos, Proedrou, Vovk, Gammerman, Inductive confidence machines for regression, 2002 (split conformal
+        prediction, with nonconformity normalised by an expected error).
+    """
+
+    coverage_frac: float
+    quantile: float
+    doubtful_above_ratio: float
+
+    def mu_low(self, mu: float, *, expected_error_ratio: float) -> float:
+        """Return the lower bound of the true friction."""
+        return mu * exp(-self.quantile * expected_error_ratio)
+
+    def mu_high(self, mu: float, *, expected_error_ratio: float) -> float:
+        """Return the upper bound of the true friction."""
+        return mu * exp(self.quantile * expected_error_ratio)
+
+    def at_least(self, *, expected_error_ratio: float) -> bool:
+        """Return whether an estimate with this expected error says no more than "at least its lower bound"."""
+        return expected_error_ratio > self.doubtful_above_ratio
+
+
+@dataclass(frozen=True, slots=True)
+class ModelManifest:
+    """What one model of a bundle says about itself.
+
+    Attributes:
+        table_digest: The feature table it was made for.
+        feature_names: The columns in order, for people.
+        model_file: Name of the friction model inside the folder.
+        error_model_file: Name of the model for the expected error; None without one.
+        mu_range: Smallest and largest friction it was trained with.
+        envelope: Where it was trained.
+        golden: Rows with known answers.
+        conformal: What the expected error means; None without a model for it.
+    """
+
+    table_digest: str
+    feature_names: tuple[str, ...]
+    model_file: str
+    error_model_file: str | None
+    mu_range: tuple[float, float]
+    envelope: Envelope
+    golden: GoldenVectors
+    conformal: Conformal | None
+
+    @property
+    def files(self) -> tuple[str, ...]:
+        """The model's files, the friction model first."""
+        return (self.model_file,) if self.error_model_file is None else (self.model_file, self.error_model_file)
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,29 +128,39 @@ class BundleManifest:
 
     Attributes:
         name: Name of the bundle, such as "roadgrip-global".
-        bundle_id: First 16 hexadecimal characters of the model's SHA-256; names the model in every stored estimate.
-        table_digest: The feature table it was made for.
-        feature_names: The columns in order, for people.
-        model_file: Name of the model inside the folder.
-        files_sha256: SHA-256 of every other file of the bundle.
-        mu_range: Smallest and largest friction it was trained with.
-        envelope: Where it was trained.
-        golden: Rows with known answers.
+        bundle_id: See `bundle_id_of`; names the bundle in every stored estimate.
+        models: One per feature table it serves, at least one; the order is the announced one.
         metrics: Figures of merit on data that was not used for training.
         provenance: How it was made: command, data-set digest, seed, versions of the tools.
+        files_sha256: SHA-256 of every other file of the bundle.
     """
 
     name: str
     bundle_id: str
-    table_digest: str
-    feature_names: tuple[str, ...]
-    model_file: str
-    files_sha256: dict[str, str]
-    mu_range: tuple[float, float]
-    envelope: Envelope
-    golden: GoldenVectors
+    models: tuple[ModelManifest, ...]
     metrics: dict[str, float]
     provenance: dict[str, str]
+    files_sha256: dict[str, str]
+
+    @property
+    def table_digests(self) -> tuple[str, ...]:
+        """The feature tables it serves."""
+        return tuple(model.table_digest for model in self.models)
+
+    def model_for(self, table_digest: str) -> ModelManifest | None:
+        """Return what the model for a feature table says about itself; None without one."""
+        return next((model for model in self.models if model.table_digest == table_digest), None)
+
+
+def bundle_id_of(models: Sequence[ModelManifest], files_sha256: Mapping[str, str]) -> str:
+    """Return the id of a bundle: 16 hexadecimal characters of a SHA-256 over its models' digests in order.
+
+    Args:
+        models: The bundle's models.
+        files_sha256: SHA-256 of every file of the bundle; one that is missing counts as the empty text.
+    """
+    digests = [files_sha256.get(name, "") for model in models for name in model.files]
+    return hashlib.sha256("\n".join(digests).encode()).hexdigest()[:16]
 
 
 def manifest_to_json(manifest: BundleManifest) -> str:
@@ -87,7 +173,7 @@ def manifest_from_json(text: str) -> BundleManifest:
 
     Raises:
         BundleError: The text is no manifest, or contradicts itself; the message says where.
-        FeatureTableError: The bundle was made for another feature table.
+        FeatureTableError: A model was made for a feature table that this software does not speak.
     """
     try:
         raw: dict[str, Any] = json.loads(text)
@@ -97,22 +183,10 @@ def manifest_from_json(text: str) -> BundleManifest:
         manifest = BundleManifest(
             name=str(raw["name"]),
             bundle_id=str(raw["bundle_id"]),
-            table_digest=str(raw["table_digest"]),
-            feature_names=tuple(str(n) for n in raw["feature_names"]),
-            model_file=str(raw["model_file"]),
-            files_sha256={str(k): str(v) for k, v in raw["files_sha256"].items()},
-            mu_range=(float(raw["mu_range"][0]), float(raw["mu_range"][1])),
-            envelope=Envelope(
-                lower=tuple(float(v) for v in raw["envelope"]["lower"]),
-                upper=tuple(float(v) for v in raw["envelope"]["upper"]),
-                outside_allowed_count=int(raw["envelope"]["outside_allowed_count"]),
-            ),
-            golden=GoldenVectors(
-                rows=tuple(tuple(float(v) for v in row) for row in raw["golden"]["rows"]),
-                mu=tuple(float(v) for v in raw["golden"]["mu"]),
-            ),
+            models=tuple(_model_from(model) for model in raw["models"]),
             metrics={str(k): float(v) for k, v in raw["metrics"].items()},
             provenance={str(k): str(v) for k, v in raw["provenance"].items()},
+            files_sha256={str(k): str(v) for k, v in raw["files_sha256"].items()},
         )
     except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
         message = f"not a bundle manifest: {type(error).__name__} at {error}"
@@ -136,19 +210,78 @@ def check_files(manifest: BundleManifest, files: dict[str, bytes]) -> None:
             raise BundleError(message)
 
 
+def _model_from(raw: dict[str, Any]) -> ModelManifest:
+    golden, envelope, conformal = raw["golden"], raw["envelope"], raw["conformal"]
+    errors, error_file = golden["expected_error_ratio"], raw["error_model_file"]
+    return ModelManifest(
+        table_digest=str(raw["table_digest"]),
+        feature_names=tuple(str(n) for n in raw["feature_names"]),
+        model_file=str(raw["model_file"]),
+        error_model_file=None if error_file is None else str(error_file),
+        mu_range=(float(raw["mu_range"][0]), float(raw["mu_range"][1])),
+        envelope=Envelope(
+            lower=tuple(float(v) for v in envelope["lower"]),
+            upper=tuple(float(v) for v in envelope["upper"]),
+            outside_allowed_count=int(envelope["outside_allowed_count"]),
+        ),
+        golden=GoldenVectors(
+            rows=tuple(tuple(float(v) for v in row) for row in golden["rows"]),
+            mu=tuple(float(v) for v in golden["mu"]),
+            expected_error_ratio=None if errors is None else tuple(float(v) for v in errors),
+        ),
+        conformal=None
+        if conformal is None
+        else Conformal(
+            coverage_frac=float(conformal["coverage_frac"]),
+            quantile=float(conformal["quantile"]),
+            doubtful_above_ratio=float(conformal["doubtful_above_ratio"]),
+        ),
+    )
+
+
 def _check(manifest: BundleManifest) -> None:
-    check_digest(manifest.table_digest, subject=f"bundle {manifest.bundle_id}")
-    width = len(FEATURE_NAMES)
-    golden = manifest.golden
+    files = [name for model in manifest.models for name in model.files]
     problems = {
-        "the feature names are not the table's": manifest.feature_names != FEATURE_NAMES,
-        "the model file has no digest": manifest.model_file not in manifest.files_sha256,
-        "the envelope has another width": {len(manifest.envelope.lower), len(manifest.envelope.upper)} != {width},
-        "the golden vectors do not fit": len(golden.rows) != len(golden.mu) or {len(r) for r in golden.rows} != {width},
-        "the friction range is empty": not 0.0 < manifest.mu_range[0] < manifest.mu_range[1],
-        "the bundle id is not the model's": manifest.bundle_id
-        != manifest.files_sha256.get(manifest.model_file, "")[:16],
+        "it holds no model": not manifest.models,
+        "two models serve one feature table": len(set(manifest.table_digests)) != len(manifest.models),
+        "a model file has no digest": not set(files) <= set(manifest.files_sha256),
+        "two models share a file": len(set(files)) != len(files),
+        "the bundle id is not its models'": manifest.bundle_id != bundle_id_of(manifest.models, manifest.files_sha256),
     }
+    _refuse(manifest, problems)
+    for model in manifest.models:
+        _check_model(manifest, model)
+
+
+def _check_model(manifest: BundleManifest, model: ModelManifest) -> None:
+    table = table_of(model.table_digest, subject=f"bundle {manifest.bundle_id}")
+    golden, conformal, width = model.golden, model.conformal, len(table)
+    errors, counts = golden.expected_error_ratio, {len(golden.mu), len(golden.rows)}
+    has_error_model = model.error_model_file is not None
+    problems = {
+        "the feature names are not the table's": model.feature_names != table.names,
+        "the envelope has another width": {len(model.envelope.lower), len(model.envelope.upper)} != {width},
+        "the golden vectors do not fit": {len(row) for row in golden.rows} != {width}
+        or len(counts | (set() if errors is None else {len(errors)})) != 1,
+        "the friction range is empty": not 0.0 < model.mu_range[0] < model.mu_range[1],
+        "an expected error needs its model, golden answers and meaning": (errors is None, conformal is None)
+        != (not has_error_model, not has_error_model),
+        "the expected error means nothing": conformal is not None and not _means_something(conformal),
+    }
+    _refuse(manifest, problems)
+
+
+def _means_something(conformal: Conformal) -> bool:
+    return (
+        0.0 < conformal.coverage_frac < 1.0
+        and conformal.quantile > 0.0
+        and isfinite(conformal.quantile)
+        and conformal.doubtful_above_ratio > 0.0
+        and isfinite(conformal.doubtful_above_ratio)
+    )
+
+
+def _refuse(manifest: BundleManifest, problems: Mapping[str, bool]) -> None:
     for problem, found in problems.items():
         if found:
             message = f"bundle {manifest.bundle_id}: {problem}"

@@ -20,7 +20,7 @@ import cbor2
 
 from roadgrip.cbor import TAG_FLOAT32_LE, strict_dumps, strict_loads
 from roadgrip.errors import WireError
-from roadgrip.features import KINEMATIC_FEATURES, TABLE_DIGEST
+from roadgrip.features import TABLES
 from roadgrip.protocol import (
     ADVISORY_REASON_CODES,
     CONFIDENCE_CODES,
@@ -315,9 +315,9 @@ def _check_finite(values: tuple[float, ...]) -> None:
 
 
 def _check_count(count: int, *, table_digest: str) -> None:
-    # Of another table nobody knows the length; whoever knows which tables are served refuses it by its digest.
-    known = table_digest == TABLE_DIGEST
-    if (known and count != len(KINEMATIC_FEATURES)) or not 0 < count <= SUMMARY_VALUES_LIMIT_COUNT:
+    # Of a table not spoken here nobody knows the length; who knows which tables are served refuses it by its digest.
+    table = TABLES.get(table_digest)
+    if (table is not None and count != len(table.kinematic)) or not 0 < count <= SUMMARY_VALUES_LIMIT_COUNT:
         raise WireError(Reason.MALFORMED, f"{count} statistics for feature table {table_digest}")
 
 

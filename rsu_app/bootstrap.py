@@ -16,7 +16,7 @@ import structlog
 
 from roadgrip.errors import BundleError, ConfigurationError, FeatureTableError, SectionError, StoreError, WireError
 from roadgrip.exchange import ExchangeLedger
-from roadgrip.features import TABLE_DIGEST
+from roadgrip.features import TABLES
 from roadgrip.records import FrictionInterval, MapOffer, Rejected
 from roadgrip.section import RoadSection
 from roadgrip.sections import read_section
@@ -195,7 +195,7 @@ def check_maps(sections: tuple[RoadSection, ...], *, signer: Signer | None) -> N
     """
     for section in sections:
         try:
-            encode_message(MapOffer(section, (TABLE_DIGEST,)), signer=signer)
+            encode_message(MapOffer(section, tuple(TABLES)), signer=signer)
         except WireError as error:
             raise ConfigurationError(
                 f"section {section.section_id}: {error.detail}; make it shorter or its nodes and anchors fewer"
@@ -251,8 +251,11 @@ def check_settings(settings: Settings) -> list[str]:
         f"section {s.section_id}: {s.length_m:.0f} m, map {s.version}, bank {s.bank_origin.value}" for s in sections
     ]
     manifest = load_model(settings).manifest
-    low_mu, high_mu = manifest.mu_range
-    lines.append(f"bundle {manifest.bundle_id}: {manifest.name}, friction {low_mu:.2f} to {high_mu:.2f}")
+    lines.append(f"bundle {manifest.bundle_id}: {manifest.name}")
+    for model in manifest.models:
+        low_mu, high_mu = model.mu_range
+        error = "no expected error" if model.conformal is None else "with its expected error"
+        lines.append(f"feature table {model.table_digest}: friction {low_mu:.2f} to {high_mu:.2f}, {error}")
     lines.append("signs as " + signer.key_id.hex() if signer else "signs nothing")
     if verifier is None:
         lines.append("checks no signatures")

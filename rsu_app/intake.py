@@ -12,7 +12,7 @@ from roadgrip.reasons import Reason
 from roadgrip.records import Accepted, NotCounted, Outcome, Passage, Rejected
 from roadgrip.units import FloatArray
 from rsu_app.observability import Metrics
-from rsu_app.ports import FrictionModel
+from rsu_app.ports import Estimates, FrictionModel
 from rsu_app.usecases import AcceptedAgain, RoadSideUnit
 
 _log = structlog.get_logger("roadgrip")
@@ -103,11 +103,11 @@ class TimedModel:
         """What the bundle says about itself."""
         return self._model.manifest
 
-    def estimate_mu(self, rows: FloatArray) -> FloatArray:
+    def estimate(self, table_digest: str, rows: FloatArray) -> Estimates:
         """Return the friction estimate of each row, see `rsu_app.ports.FrictionModel`."""
         started_s = time.perf_counter()
         try:
-            return self._model.estimate_mu(rows)
+            return self._model.estimate(table_digest, rows)
         finally:
             self._observe(time.perf_counter() - started_s)
 

@@ -26,25 +26,36 @@ class Clock(Protocol):
         ...
 
 
+@dataclass(frozen=True, slots=True)
+class Estimates:
+    """What the models for one feature table answered.
+
+    Attributes:
+        mu: The friction of each row. (n,)
+        expected_error_ratio: The error to expect of each, relative to it; None without a model for it. (n,)
+    """
+
+    mu: FloatArray
+    expected_error_ratio: FloatArray | None
+
+
 class FrictionModel(Protocol):
-    """A regressor with everything needed to trust it."""
+    """The models of a bundle, one per feature table it serves, with everything needed to trust them."""
 
     @property
     def manifest(self) -> BundleManifest:
         """What the bundle says about itself."""
         ...
 
-    def estimate_mu(self, rows: FloatArray) -> FloatArray:
-        """Return the friction estimate of each row.
+    def estimate(self, table_digest: str, rows: FloatArray) -> Estimates:
+        """Return the friction estimate of each row, and its expected error.
 
         Args:
-            rows: Features in the order of `roadgrip.features.FEATURES`. (n, 78)
-
-        Returns:
-            The estimates. (n,)
+            table_digest: One of the feature tables the bundle serves.
+            rows: Features in the order of that table. (n, columns)
 
         Raises:
-            BundleError: The model does not answer.
+            BundleError: The bundle has no model for this table, or it does not answer.
             ValueError: A row holds a value that no passage can have; the model would answer with a plausible number.
         """
         ...
@@ -62,7 +73,10 @@ class StoredEstimate:
         mu: The estimate, or None when the model gave no number.
         flags: Why it does not count, if it does not.
         left_unix_s: When the vehicle left the section, by the unit's wall clock.
-        bundle_id: The model that gave the estimate.
+        bundle_id: The bundle whose model for the summary's table gave the estimate.
+        expected_error_ratio: Size of the error to expect, relative to the estimate; None when the bundle does not say.
+        mu_low: Below this the friction hardly is; None when the bundle does not say.
+        at_least: The passage only says that the friction is at least `mu_low`.
     """
 
     passage_id: bytes
@@ -73,6 +87,9 @@ class StoredEstimate:
     flags: NotCounted
     left_unix_s: float
     bundle_id: str
+    expected_error_ratio: float | None = None
+    mu_low: float | None = None
+    at_least: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from roadgrip.errors import WireError
-from roadgrip.features import TABLE_DIGEST
+from roadgrip.features import TABLES
 from roadgrip.protocol import FRAGMENT_BYTES, FRAMES_LIMIT_COUNT, Kind
 from roadgrip.records import MapOffer
 from roadgrip.signing import SIGNED_MORE_BYTES
@@ -179,7 +179,7 @@ def _bar(share: float) -> str:
 def map_message_problem(section: RoadSection) -> str | None:
     """Return why vehicles could not be sent this map, or None if it can be sent, signed or not."""
     try:
-        size_bytes = len(encode_message(MapOffer(section, (TABLE_DIGEST,))))
+        size_bytes = len(encode_message(MapOffer(section, tuple(TABLES))))
     except WireError as error:
         return error.detail
     if size_bytes + SIGNED_MORE_BYTES > MAP_LIMIT_BYTES:
@@ -191,5 +191,5 @@ def _wire_figures(section: RoadSection) -> dict[str, int | None]:
     """Return what the unsigned map costs on the air; nothing known if it cannot be sent."""
     if map_message_problem(section) is not None:
         return {"map_message_bytes": None, "map_message_frames_count": None}
-    size_bytes = len(encode_message(MapOffer(section, (TABLE_DIGEST,))))
+    size_bytes = len(encode_message(MapOffer(section, tuple(TABLES))))
     return {"map_message_bytes": size_bytes, "map_message_frames_count": -(-size_bytes // FRAGMENT_BYTES)}

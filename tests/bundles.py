@@ -1,37 +1,59 @@
-"""Tiny model bundles whose answers a test can foretell: a linear model of a few features."""
+"""Tiny model bundles whose answers a test can foretell: linear models of a few features."""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from roadgrip.bundle import MANIFEST_NAME, BundleManifest, Envelope, GoldenVectors, manifest_to_json
-from roadgrip.features import FEATURE_NAMES, FEATURES, TABLE_DIGEST
+from roadgrip.bundle import (
+    MANIFEST_NAME,
+    BundleManifest,
+    Conformal,
+    Envelope,
+    GoldenVectors,
+    ModelManifest,
+    bundle_id_of,
+    manifest_to_json,
+)
+from roadgrip.features import NEWEST_TABLE, FeatureTable
 from roadgrip.units import FloatArray
 
 MODEL_NAME = "model.onnx"
+ERROR_NAME = "error.onnx"
 BIAS_MU = 0.5
 WEIGHTS: Mapping[str, float] = {"sideslip_mean_rad": 1.0}
 """By default a model answers 0.5 plus the mean sideslip, so that a passage can carry any friction into a test."""
+ERROR_BIAS_RATIO = 0.05
+ERROR_WEIGHTS: Mapping[str, float] = {"steer_mean_rad": 1.0}
+"""The expected error is 5 % plus the mean steering angle, so that a passage can carry that, too."""
+CONFORMAL = Conformal(coverage_frac=0.9, quantile=2.0, doubtful_above_ratio=0.2)
 
 
-def linear_mu(rows: FloatArray, *, weights: Mapping[str, float] = WEIGHTS, bias_mu: float = BIAS_MU) -> FloatArray:
-    column = np.array([weights.get(name, 0.0) for name in FEATURE_NAMES])
+def linear_mu(
+    rows: FloatArray,
+    *,
+    weights: Mapping[str, float] = WEIGHTS,
+    bias_mu: float = BIAS_MU,
+    table: FeatureTable = NEWEST_TABLE,
+) -> FloatArray:
+    column = np.array([weights.get(name, 0.0) for name in table.names])
     return np.asarray(rows @ column + bias_mu, dtype=np.float64)
 
 
-def linear_onnx(*, weights: Mapping[str, float] = WEIGHTS, bias_mu: float = BIAS_MU) -> bytes:
+def linear_onnx(
+    *, weights: Mapping[str, float] = WEIGHTS, bias_mu: float = BIAS_MU, table: FeatureTable = NEWEST_TABLE
+) -> bytes:
     import onnx
     from onnx import TensorProto, helper, numpy_helper
 
-    column = np.array([[weights.get(name, 0.0)] for name in FEATURE_NAMES], dtype=np.float32)
+    column = np.array([[weights.get(name, 0.0)] for name in table.names], dtype=np.float32)
     graph = helper.make_graph(
         [helper.make_node("Gemm", ["features", "weights", "bias"], ["mu"])],
         "linear",
-        [helper.make_tensor_value_info("features", TensorProto.FLOAT, [None, len(FEATURE_NAMES)])],
+        [helper.make_tensor_value_info("features", TensorProto.FLOAT, [None, len(table)])],
         [helper.make_tensor_value_info("mu", TensorProto.FLOAT, [None, 1])],
         [
             numpy_helper.from_array(column, "weights"),
@@ -44,15 +66,66 @@ def linear_onnx(*, weights: Mapping[str, float] = WEIGHTS, bias_mu: float = BIAS
     return content
 
 
-def golden_vectors(*, weights: Mapping[str, float] = WEIGHTS, bias_mu: float = BIAS_MU) -> GoldenVectors:
-    low = np.array([max(f.minimum, -10.0) for f in FEATURES])
-    high = np.array([min(f.maximum, 10.0) for f in FEATURES])
+def error_onnx(table: FeatureTable = NEWEST_TABLE) -> bytes:
+    return linear_onnx(weights=ERROR_WEIGHTS, bias_mu=ERROR_BIAS_RATIO, table=table)
+
+
+def golden_vectors(
+    *,
+    weights: Mapping[str, float] = WEIGHTS,
+    bias_mu: float = BIAS_MU,
+    table: FeatureTable = NEWEST_TABLE,
+    with_error: bool = False,
+) -> GoldenVectors:
+    low, high = np.maximum(table.minimum, -10.0), np.minimum(table.maximum, 10.0)
     rows = np.array([np.maximum(low, high * share) for share in (0.0, 0.02, 0.05, 0.1)])
-    rows[:, -1] = 100.0  # the length of the section
+    rows[:, table.index("section_length_m")] = 100.0
     rows = rows.astype(np.float32).astype(np.float64)
+    errors = linear_mu(rows, weights=ERROR_WEIGHTS, bias_mu=ERROR_BIAS_RATIO, table=table)
     return GoldenVectors(
         rows=tuple(tuple(float(v) for v in row) for row in rows),
-        mu=tuple(float(v) for v in linear_mu(rows, weights=weights, bias_mu=bias_mu)),
+        mu=tuple(float(v) for v in linear_mu(rows, weights=weights, bias_mu=bias_mu, table=table)),
+        expected_error_ratio=tuple(float(v) for v in errors) if with_error else None,
+    )
+
+
+def make_model(
+    *,
+    weights: Mapping[str, float] = WEIGHTS,
+    bias_mu: float = BIAS_MU,
+    mu_range: tuple[float, float] = (0.1, 1.0),
+    envelope: Envelope | None = None,
+    table: FeatureTable = NEWEST_TABLE,
+    conformal: Conformal | None = None,
+) -> ModelManifest:
+    """Return what a model says about itself; with `conformal` it has one for its error, too."""
+    everywhere = Envelope(
+        lower=tuple(float(v) for v in table.minimum),
+        upper=tuple(float(v) for v in table.maximum),
+        outside_allowed_count=0,
+    )
+    prefix = "" if table is NEWEST_TABLE else f"table-{table.version}-"
+    return ModelManifest(
+        table_digest=table.digest,
+        feature_names=table.names,
+        model_file=f"{prefix}{MODEL_NAME}",
+        error_model_file=None if conformal is None else f"{prefix}{ERROR_NAME}",
+        mu_range=mu_range,
+        envelope=envelope or everywhere,
+        golden=golden_vectors(weights=weights, bias_mu=bias_mu, table=table, with_error=conformal is not None),
+        conformal=conformal,
+    )
+
+
+def manifest_of(models: Sequence[ModelManifest], files: Mapping[str, bytes], *, name: str = "linear") -> BundleManifest:
+    files_sha256 = {file: hashlib.sha256(content).hexdigest() for file, content in files.items()}
+    return BundleManifest(
+        name=name,
+        bundle_id=bundle_id_of(models, files_sha256),
+        models=tuple(models),
+        metrics={},
+        provenance={"made_by": "a test"},
+        files_sha256=files_sha256,
     )
 
 
@@ -64,25 +137,41 @@ def make_manifest(
     bias_mu: float = BIAS_MU,
     mu_range: tuple[float, float] = (0.1, 1.0),
     envelope: Envelope | None = None,
+    conformal: Conformal | None = None,
 ) -> BundleManifest:
-    content = linear_onnx(weights=weights, bias_mu=bias_mu) if model is None else model
-    digest = hashlib.sha256(content).hexdigest()
-    everywhere = Envelope(
-        lower=tuple(f.minimum for f in FEATURES), upper=tuple(f.maximum for f in FEATURES), outside_allowed_count=0
-    )
-    return BundleManifest(
-        name=name,
-        bundle_id=digest[:16],
-        table_digest=TABLE_DIGEST,
-        feature_names=FEATURE_NAMES,
-        model_file=MODEL_NAME,
-        files_sha256={MODEL_NAME: digest},
-        mu_range=mu_range,
-        envelope=envelope or everywhere,
-        golden=golden_vectors(weights=weights, bias_mu=bias_mu),
-        metrics={},
-        provenance={"made_by": "a test"},
-    )
+    """Return the manifest of a bundle with one model, for the newest table."""
+    manifest = make_model(weights=weights, bias_mu=bias_mu, mu_range=mu_range, envelope=envelope, conformal=conformal)
+    files = {MODEL_NAME: linear_onnx(weights=weights, bias_mu=bias_mu) if model is None else model}
+    if conformal is not None:
+        files[ERROR_NAME] = error_onnx()
+    return manifest_of([manifest], files, name=name)
+
+
+def make_bundle_of_tables(
+    folder: Path, tables: Sequence[FeatureTable], *, biases_mu: Sequence[float]
+) -> BundleManifest:
+    """Write a bundle with a linear model and its expected error for each table, and return its manifest.
+
+    Args:
+        folder: Made if missing.
+        tables: Which to serve.
+        biases_mu: What each model answers to a row of zeros, to tell them apart.
+    """
+    models, files = [], {}
+    for table, bias_mu in zip(tables, biases_mu, strict=True):
+        manifest = make_model(bias_mu=bias_mu, table=table, conformal=CONFORMAL)
+        models.append(manifest)
+        files[manifest.model_file] = linear_onnx(bias_mu=bias_mu, table=table)
+        files[str(manifest.error_model_file)] = error_onnx(table)
+    return _written(folder, manifest_of(models, files), files)
+
+
+def _written(folder: Path, manifest: BundleManifest, files: Mapping[str, bytes]) -> BundleManifest:
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, content in files.items():
+        (folder / name).write_bytes(content)
+    (folder / MANIFEST_NAME).write_text(manifest_to_json(manifest), encoding="utf-8")
+    return manifest
 
 
 def make_bundle(
@@ -108,7 +197,4 @@ def make_bundle(
     manifest = make_manifest(
         model=model, name=name, weights=weights, bias_mu=bias_mu, mu_range=mu_range, envelope=envelope
     )
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / MODEL_NAME).write_bytes(model)
-    (folder / MANIFEST_NAME).write_text(manifest_to_json(manifest), encoding="utf-8")
-    return manifest
+    return _written(folder, manifest, {MODEL_NAME: model})

@@ -7,7 +7,15 @@ from pathlib import Path
 
 import numpy as np
 
-from roadgrip.bundle import MANIFEST_NAME, BundleManifest, Envelope, GoldenVectors, manifest_to_json
+from roadgrip.bundle import (
+    MANIFEST_NAME,
+    BundleManifest,
+    Envelope,
+    GoldenVectors,
+    ModelManifest,
+    bundle_id_of,
+    manifest_to_json,
+)
 from roadgrip.features import FEATURE_NAMES, TABLE_DIGEST
 from roadgrip.units import FloatArray
 from training.dataset import Runs
@@ -73,19 +81,25 @@ def write_bundle(
     golden_rows = runs.features[picked].astype(np.float32).astype(np.float64)
     label_mu = runs.labels["label_mu"][fitted.train_rows]
     digest = hashlib.sha256(model).hexdigest()
-    manifest = BundleManifest(
-        name=name,
-        bundle_id=digest[:16],
+    model_manifest = ModelManifest(
         table_digest=TABLE_DIGEST,
         feature_names=FEATURE_NAMES,
         model_file=MODEL_NAME,
-        files_sha256={MODEL_NAME: digest},
+        error_model_file=None,
         mu_range=(float(label_mu.min()), float(label_mu.max())),
         envelope=learn_envelope(train),
         golden=GoldenVectors(
             rows=tuple(tuple(float(v) for v in row) for row in golden_rows),
             mu=tuple(float(v) for v in onnx_estimate_mu(model, golden_rows)),
         ),
+        conformal=None,
+    )
+    files_sha256 = {MODEL_NAME: digest}
+    manifest = BundleManifest(
+        name=name,
+        bundle_id=bundle_id_of((model_manifest,), files_sha256),
+        models=(model_manifest,),
+        files_sha256=files_sha256,
         metrics={**fitted.metrics, "onnx_difference_mu": difference_mu},
         provenance={**provenance, "dataset_digest": runs.digest()},
     )

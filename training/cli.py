@@ -11,6 +11,7 @@ Four steps (simulate, fit, export, bundle), each leaving its result on disk, or 
 
     roadgrip-train default-bundle                     remake the bundle that comes with roadgrip
     roadgrip-train tune-observer                      fit the onboard estimation to a vehicle
+    roadgrip-train evaluate --traces drives           say what a bundle makes of anybody's recorded drives
 """
 
 from __future__ import annotations
@@ -48,6 +49,7 @@ from training.cli_designs import (
     simulate,
     title_of,
 )
+from training.cli_evaluate import evaluate
 from training.cli_tune import tune_observer
 from training.dataset import Runs, read_runs
 from training.designs import Size, named_design
@@ -100,6 +102,7 @@ app.command()(simulate)
 app.command()(designs)
 app.command()(cells)
 app.command()(tune_observer)
+app.command()(evaluate)
 
 
 @app.command(name="fit")
@@ -278,7 +281,9 @@ def _print_bundle(manifest: BundleManifest, folder: Path, *, as_json: bool) -> N
         typer.echo(json.dumps({"bundle_id": manifest.bundle_id, "folder": str(folder), "metrics": manifest.metrics}))
         return
     _print_metrics(manifest.metrics, as_json=False)
-    typer.echo(
-        f"bundle {manifest.name} {manifest.bundle_id} in {folder}; friction {manifest.mu_range[0]:.2f} to "
-        f"{manifest.mu_range[1]:.2f}; {manifest.envelope.outside_allowed_count} features may lie outside the envelope"
-    )
+    typer.echo(f"bundle {manifest.name} {manifest.bundle_id} in {folder}")
+    for model in manifest.models:
+        typer.echo(
+            f"feature table {model.table_digest}: friction {model.mu_range[0]:.2f} to {model.mu_range[1]:.2f}; "
+            f"{model.envelope.outside_allowed_count} features may lie outside the envelope"
+        )

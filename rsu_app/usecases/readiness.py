@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from roadgrip.bundle import GOLDEN_TOLERANCE_MU
+from roadgrip.bundle import GOLDEN_TOLERANCE_MU, GOLDEN_TOLERANCE_RATIO, ModelManifest
 from roadgrip.errors import BundleError, StoreError
 from rsu_app.ports import Clock, FrictionModel, PassageStore
 
@@ -48,21 +48,37 @@ class Readiness:
 
 
 def check_golden(model: FrictionModel) -> None:
-    """Do nothing if the model answers its golden vectors as it did in the laboratory.
+    """Do nothing if every model of a bundle answers its golden vectors as it did in the laboratory.
 
     Raises:
-        BundleError: It does not; the message says by how much.
+        BundleError: One does not; the message says by how much.
     """
-    bundle_id, golden = model.manifest.bundle_id, model.manifest.golden
+    for manifest in model.manifest.models:
+        _check_golden(model, manifest)
+
+
+def _check_golden(model: FrictionModel, manifest: ModelManifest) -> None:
+    subject, golden = f"bundle {model.manifest.bundle_id}", manifest.golden
     if not golden.rows:
-        raise BundleError(f"bundle {bundle_id} has no golden vectors; nobody can say what its model should answer")
+        raise BundleError(f"{subject} has no golden vectors; nobody can say what its model should answer")
     try:
-        answers = model.estimate_mu(np.asarray(golden.rows, dtype=np.float64))
+        answers = model.estimate(manifest.table_digest, np.asarray(golden.rows, dtype=np.float64))
     except ValueError as error:
-        raise BundleError(f"bundle {bundle_id} has golden vectors that cannot be: {error}") from error
-    difference = float(np.abs(answers - np.asarray(golden.mu)).max())
-    if not difference <= GOLDEN_TOLERANCE_MU:
-        raise BundleError(f"bundle {bundle_id} misses its {len(golden.rows)} golden vectors by {difference:.2e}")
+        raise BundleError(f"{subject} has golden vectors that cannot be: {error}") from error
+    known = (
+        ("friction", answers.mu, golden.mu, GOLDEN_TOLERANCE_MU),
+        ("expected error", answers.expected_error_ratio, golden.expected_error_ratio, GOLDEN_TOLERANCE_RATIO),
+    )
+    for quantity, found, wanted, tolerance in known:
+        if (found is None) != (wanted is None):
+            raise BundleError(f"{subject} gives an {quantity} and has no golden vectors for it, or the other way round")
+        if found is None or wanted is None:
+            continue
+        difference = float(np.abs(found - np.asarray(wanted)).max())
+        if not difference <= tolerance:
+            raise BundleError(
+                f"{subject} misses its {len(golden.rows)} golden vectors of {quantity} by {difference:.2e}"
+            )
 
 
 def model_check(model: FrictionModel | None, *, absence: str) -> Check:

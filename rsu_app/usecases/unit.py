@@ -5,13 +5,11 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from math import isfinite
-
-import numpy as np
+from math import nan
 
 from roadgrip.bundle import BundleManifest
 from roadgrip.errors import BundleError, ConfigurationError, StoreError, StoreFullError
-from roadgrip.features import ROAD_FEATURES, TABLE_DIGEST, road_features
+from roadgrip.features import TABLES
 from roadgrip.reasons import Reason
 from roadgrip.records import (
     Accepted,
@@ -26,15 +24,16 @@ from roadgrip.records import (
     Rejected,
 )
 from roadgrip.section import RoadSection
-from roadgrip.units import WINDOW_S, FloatArray
+from roadgrip.units import WINDOW_S
 from rsu_app.domain.advisory import AdvisoryPolicy, advise
 from rsu_app.domain.interval import IntervalPolicy, friction_interval
-from rsu_app.domain.plausibility import age_flag, envelope_flag, estimate_flag, implausibility, summary_values
-from rsu_app.domain.window import CAPACITY_COUNT, FrictionWindow
+from rsu_app.domain.plausibility import age_flag, implausibility
+from rsu_app.domain.window import CAPACITY_COUNT, WindowRows
 from rsu_app.ports import Clock, Event, FrictionModel, PassageEntry, PassageStore, StoredEstimate
 from rsu_app.usecases.changes import Subscription
 from rsu_app.usecases.readiness import Check, ClockWatch, Readiness, check_golden, model_check, store_check
 from rsu_app.usecases.recall import Recall, content_digest, outcome_of_repetition, values_digest
+from rsu_app.usecases.section_state import SectionState, judged_passage, section_states
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,16 +62,6 @@ class UnitLimits:
             raise ConfigurationError("every limit of the unit must be above zero")
         if not self.retention_s >= self.window_s:
             raise ConfigurationError("passages must be kept at least as long as they count")
-
-
-@dataclass(slots=True)
-class _SectionState:
-    section: RoadSection
-    policy: AdvisoryPolicy
-    road_row: FloatArray
-    window: FrictionWindow
-    listeners: set[Subscription]
-    advisory: Advisory | None = None
 
 
 class RoadSideUnit:
@@ -120,7 +109,13 @@ class RoadSideUnit:
         self._pending: set[asyncio.Task[Outcome]] = set()
         self._restored = False
         self._model_noted = False
-        self._states = _states(sections, policy or AdvisoryPolicy(), section_policies or {}, self._limits)
+        self._states = section_states(
+            sections,
+            policy=policy or AdvisoryPolicy(),
+            section_policies=section_policies or {},
+            window_s=self._limits.window_s,
+            window_capacity_count=self._limits.window_capacity_count,
+        )
         if model is not None:
             check_golden(model)
         self._model = model
@@ -130,6 +125,11 @@ class RoadSideUnit:
     def section_ids(self) -> tuple[str, ...]:
         """The sections this unit serves."""
         return tuple(self._states)
+
+    @property
+    def table_digests(self) -> tuple[str, ...]:
+        """The feature tables that are served: those of the live bundle, all that are known while there is none."""
+        return tuple(TABLES) if self._model is None else self._model.manifest.table_digests
 
     @property
     def model_manifest(self) -> BundleManifest | None:
@@ -191,13 +191,13 @@ class RoadSideUnit:
         state = self._states.get(passage.section_id)
         if state is None:
             return self._unknown(passage.section_id)
-        refusal = implausibility(passage, state.section)
+        refusal = implausibility(passage, state.section, table_digests=self.table_digests)
         if refusal is not None:
             return refusal
         if self._model is None:
             return Rejected(Reason.NO_MODEL, "this unit has no model yet")
         try:
-            mu, flags = _judge(passage, state, self._model)
+            judged = judged_passage(passage, state, self._model)
         except BundleError as error:
             return Rejected(Reason.NO_MODEL, str(error))
         unix_s = self._clock.unix_s()
@@ -206,10 +206,13 @@ class RoadSideUnit:
             section_id=passage.section_id,
             content_digest=content,
             values_digest=values,
-            mu=mu,
-            flags=flags | age_flag(passage.age_s, window_s=self._limits.window_s),
+            mu=judged.mu,
+            flags=judged.flags | age_flag(passage.age_s, window_s=self._limits.window_s),
             left_unix_s=unix_s - passage.age_s,
             bundle_id=self._model.manifest.bundle_id,
+            expected_error_ratio=judged.expected_error_ratio,
+            mu_low=judged.mu_low,
+            at_least=judged.at_least,
         )
         entry = PassageEntry(passage=passage, received_unix_s=unix_s, estimate=estimate)
         task = asyncio.create_task(self._keep(entry, left_at_s=received_at_s - passage.age_s))
@@ -221,6 +224,14 @@ class RoadSideUnit:
         """Return the friction interval of a section as of now, None if no vehicle is behind it."""
         state = self._states.get(section_id)
         return self._unknown(section_id) if state is None else self._interval(state)
+
+    def window_rows(self, section_id: str) -> WindowRows | Rejected:
+        """Return what the window of a section holds as of now, each estimate with its expected error."""
+        state = self._states.get(section_id)
+        if state is None:
+            return self._unknown(section_id)
+        state.window.evict(now_s=self._clock.monotonic_s())
+        return state.window.rows
 
     def current_advisory(self, section_id: str) -> Advisory | Rejected:
         """Return what drivers on a section are told now."""
@@ -237,7 +248,7 @@ class RoadSideUnit:
         state = self._states.get(section_id)
         if state is None:
             return self._unknown(section_id)
-        return MapOffer(section=state.section, table_digests=(TABLE_DIGEST,))
+        return MapOffer(section=state.section, table_digests=self.table_digests)
 
     def beacon(self, section_id: str) -> Beacon | Rejected:
         """Return the announcement of a section."""
@@ -376,10 +387,16 @@ class RoadSideUnit:
         state = self._states.get(estimate.section_id)
         if state is None or left_at_s is None or estimate.mu is None or estimate.flags != NotCounted.NONE:
             return False
-        state.window.add(left_at_s=left_at_s, mu=estimate.mu)
+        state.window.add(
+            left_at_s=left_at_s,
+            mu=estimate.mu,
+            at_least=estimate.at_least,
+            mu_low=nan if estimate.mu_low is None else estimate.mu_low,
+            expected_error_ratio=nan if estimate.expected_error_ratio is None else estimate.expected_error_ratio,
+        )
         return True
 
-    def _interval(self, state: _SectionState) -> FrictionInterval | None:
+    def _interval(self, state: SectionState) -> FrictionInterval | None:
         now_s = self._clock.monotonic_s()
         state.window.evict(now_s=now_s)
         return friction_interval(
@@ -388,7 +405,7 @@ class RoadSideUnit:
             policy=self._interval_policy,
         )
 
-    def _advisory(self, state: _SectionState) -> Advisory:
+    def _advisory(self, state: SectionState) -> Advisory:
         state.advisory = advise(
             state.section,
             interval=self._interval(state),
@@ -398,7 +415,7 @@ class RoadSideUnit:
         )
         return state.advisory
 
-    def _notice(self, state: _SectionState) -> AdvisoryNotice:
+    def _notice(self, state: SectionState) -> AdvisoryNotice:
         return AdvisoryNotice(
             section_id=state.section.section_id,
             map_version=state.section.version,
@@ -409,7 +426,7 @@ class RoadSideUnit:
     def _issued_unix_s(self) -> int:
         return int(self._clock.unix_s()) if self._clock_watch.plausible else 0
 
-    def _window_check(self, state: _SectionState) -> Check:
+    def _window_check(self, state: SectionState) -> Check:
         interval = self._interval(state)
         subject = f"section {state.section.section_id}"
         if interval is None:
@@ -421,42 +438,6 @@ class RoadSideUnit:
         return Rejected(Reason.UNKNOWN_SECTION, f"{section_id[:48]!r} is none of {', '.join(self._states)}")
 
 
-def _states(
-    sections: Iterable[RoadSection],
-    policy: AdvisoryPolicy,
-    section_policies: Mapping[str, AdvisoryPolicy],
-    limits: UnitLimits,
-) -> dict[str, _SectionState]:
-    states: dict[str, _SectionState] = {}
-    for section in sections:
-        if section.section_id in states:
-            raise ConfigurationError(f"section {section.section_id} is given twice")
-        # Once per map: the road's features never change while it stays the same.
-        road_row = road_features(section)
-        for feature, value in zip(ROAD_FEATURES, road_row, strict=True):
-            if not feature.minimum <= value <= feature.maximum:
-                raise ConfigurationError(f"section {section.section_id}: {feature.name} = {value:.6g} is out of range")
-        states[section.section_id] = _SectionState(
-            section=section,
-            policy=section_policies.get(section.section_id, policy),
-            road_row=road_row,
-            window=FrictionWindow(window_s=limits.window_s, capacity_count=limits.window_capacity_count),
-            listeners=set(),
-        )
-    if not states:
-        raise ConfigurationError("a unit without a section has nothing to do")
-    if unknown := set(section_policies) - set(states):
-        raise ConfigurationError(f"policies for sections that are not served: {', '.join(sorted(unknown))}")
-    return states
-
-
-def _judge(passage: Passage, state: _SectionState, model: FrictionModel) -> tuple[float | None, NotCounted]:
-    row = np.concatenate([summary_values(passage.summary).astype(np.float64), state.road_row])
-    mu = float(model.estimate_mu(row[None, :])[0])
-    flags = envelope_flag(row, model.manifest.envelope) | estimate_flag(mu, model.manifest)
-    return (mu if isfinite(mu) else None), flags
-
-
-def _notify(state: _SectionState) -> None:
+def _notify(state: SectionState) -> None:
     for subscription in tuple(state.listeners):
         subscription.notify()

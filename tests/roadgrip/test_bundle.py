@@ -1,67 +1,156 @@
 import dataclasses
 import hashlib
 import json
+from math import log
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from roadgrip.bundle import (
     BundleManifest,
+    Conformal,
     Envelope,
     GoldenVectors,
+    ModelManifest,
+    bundle_id_of,
     check_files,
     manifest_from_json,
     manifest_to_json,
 )
 from roadgrip.errors import BundleError, FeatureTableError
-from roadgrip.features import FEATURE_NAMES, TABLE_DIGEST
+from roadgrip.features import PAPER_TABLE, FeatureTable
 
-MODEL = b"a model"
-SHA256 = hashlib.sha256(MODEL).hexdigest()
-WIDTH = len(FEATURE_NAMES)
+FILES = {"model.onnx": b"a model", "error.onnx": b"a model for its error"}
+SHA256 = {name: hashlib.sha256(content).hexdigest() for name, content in FILES.items()}
+WIDTH = len(PAPER_TABLE)
+CONFORMAL = Conformal(coverage_frac=0.9, quantile=2.0, doubtful_above_ratio=0.15)
+
+
+def model(table: FeatureTable = PAPER_TABLE) -> ModelManifest:
+    width = len(table)
+    return ModelManifest(
+        table_digest=table.digest,
+        feature_names=table.names,
+        model_file="model.onnx",
+        error_model_file="error.onnx",
+        mu_range=(0.16, 0.7),
+        envelope=Envelope(lower=(0.0,) * width, upper=(1.0,) * width, outside_allowed_count=3),
+        golden=GoldenVectors(rows=((0.5,) * width, (0.1,) * width), mu=(0.3, 0.4), expected_error_ratio=(0.05, 0.06)),
+        conformal=CONFORMAL,
+    )
+
+
+def bundle_of(*models: ModelManifest, files: dict[str, str] = SHA256) -> BundleManifest:
+    return BundleManifest(
+        name="test",
+        bundle_id=bundle_id_of(models, files),
+        models=models,
+        metrics={"mape_frac": 0.05},
+        provenance={"command": "test"},
+        files_sha256=dict(files),
+    )
 
 
 def manifest() -> BundleManifest:
-    return BundleManifest(
-        name="test",
-        bundle_id=SHA256[:16],
-        table_digest=TABLE_DIGEST,
-        feature_names=FEATURE_NAMES,
-        model_file="model.onnx",
-        files_sha256={"model.onnx": SHA256},
-        mu_range=(0.16, 0.7),
-        envelope=Envelope(lower=(0.0,) * WIDTH, upper=(1.0,) * WIDTH, outside_allowed_count=3),
-        golden=GoldenVectors(rows=((0.5,) * WIDTH, (0.1,) * WIDTH), mu=(0.3, 0.4)),
-        metrics={"mape_frac": 0.05},
-        provenance={"command": "test"},
-    )
+    return bundle_of(model())
+
+
+def changed(**change) -> BundleManifest:
+    return bundle_of(dataclasses.replace(model(), **change))
 
 
 def test_a_manifest_survives_the_way_through_json():
     assert manifest_from_json(manifest_to_json(manifest())) == manifest()
 
 
-def test_a_bundle_for_another_feature_table_is_refused():
-    text = manifest_to_json(dataclasses.replace(manifest(), table_digest="0" * 16))
+def test_a_model_without_an_expected_error_survives_too():
+    golden = dataclasses.replace(model().golden, expected_error_ratio=None)
+    plain = changed(error_model_file=None, conformal=None, golden=golden)
+    assert manifest_from_json(manifest_to_json(plain)) == plain
+
+
+def test_a_bundle_serves_several_tables_with_a_model_each(wider_table):
+    newer = dataclasses.replace(model(wider_table), model_file="newer.onnx", error_model_file="newer-error.onnx")
+    both = bundle_of(newer, model(), files={**SHA256, "newer.onnx": "a" * 64, "newer-error.onnx": "b" * 64})
+    assert manifest_from_json(manifest_to_json(both)) == both
+    assert both.table_digests == (wider_table.digest, PAPER_TABLE.digest)
+    assert both.model_for(PAPER_TABLE.digest) == model()
+    assert both.model_for(wider_table.digest) == newer
+    assert both.model_for("0" * 16) is None
+
+
+def test_the_id_names_every_model_in_its_order():
+    files = {name: hashlib.sha256(name.encode()).hexdigest() for name in "abcd"}
+    one, other = (
+        dataclasses.replace(model(), model_file=first, error_model_file=second) for first, second in ("ab", "cd")
+    )
+    ids = {
+        bundle_id_of(models, files)
+        for models in ((one,), (other,), (one, other), (other, one), (dataclasses.replace(one, error_model_file=None),))
+    }
+    assert len(ids) == 5
+    assert bundle_id_of((one,), {**files, "b": "f" * 64}) not in ids
+    assert all(len(bundle_id) == 16 for bundle_id in ids)
+
+
+def test_a_bundle_for_a_table_not_spoken_here_is_refused():
     with pytest.raises(FeatureTableError, match="0000000000000000"):
-        manifest_from_json(text)
+        manifest_from_json(manifest_to_json(changed(table_digest="0" * 16)))
 
 
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        ({"feature_names": FEATURE_NAMES[::-1]}, "feature names"),
+        ({"feature_names": PAPER_TABLE.names[::-1]}, "feature names"),
         ({"model_file": "other.onnx"}, "no digest"),
+        ({"error_model_file": "other.onnx"}, "no digest"),
+        ({"error_model_file": "model.onnx"}, "share a file"),
         ({"envelope": Envelope((0.0,) * 77, (1.0,) * WIDTH, 3)}, "width"),
-        ({"golden": GoldenVectors(((0.5,) * WIDTH,), (0.3, 0.4))}, "golden"),
-        ({"golden": GoldenVectors(((0.5,) * 77,), (0.3,))}, "golden"),
-        ({"golden": GoldenVectors((), ())}, "golden"),
+        ({"golden": GoldenVectors(((0.5,) * WIDTH,), (0.3, 0.4), (0.1,))}, "golden"),
+        ({"golden": GoldenVectors(((0.5,) * WIDTH,), (0.3,), (0.1, 0.2))}, "golden"),
+        ({"golden": GoldenVectors(((0.5,) * 77,), (0.3,), (0.1,))}, "golden"),
+        ({"golden": GoldenVectors((), (), ())}, "golden"),
         ({"mu_range": (0.7, 0.16)}, "range is empty"),
-        ({"bundle_id": "f" * 16}, "not the model's"),
+        ({"error_model_file": None}, "expected error needs"),
+        ({"conformal": None}, "expected error needs"),
+        ({"golden": GoldenVectors(((0.5,) * WIDTH,), (0.3,))}, "expected error needs"),
+        ({"conformal": Conformal(1.0, 2.0, 0.1)}, "means nothing"),
+        ({"conformal": Conformal(0.9, 0.0, 0.1)}, "means nothing"),
+        ({"conformal": Conformal(0.9, float("nan"), 0.1)}, "means nothing"),
+        ({"conformal": Conformal(0.9, 2.0, float("inf"))}, "means nothing"),
     ],
 )
-def test_a_manifest_that_contradicts_itself_is_refused(change, told):
+def test_a_model_that_contradicts_itself_is_refused(change, told):
     with pytest.raises(BundleError, match=told):
-        manifest_from_json(manifest_to_json(dataclasses.replace(manifest(), **change)))
+        manifest_from_json(manifest_to_json(changed(**change)))
+
+
+@pytest.mark.parametrize(
+    ("broken", "told"),
+    [
+        (dataclasses.replace(bundle_of(model()), bundle_id="f" * 16), "not its models'"),
+        (bundle_of(), "no model"),
+        (bundle_of(model(), dataclasses.replace(model(), model_file="x", error_model_file=None)), "one feature table"),
+    ],
+)
+def test_a_bundle_that_contradicts_itself_is_refused(broken, told):
+    with pytest.raises(BundleError, match=told):
+        manifest_from_json(manifest_to_json(broken))
+
+
+@given(st.floats(0.05, 1.5), st.floats(1e-4, 1.0), st.floats(0.1, 10.0))
+def test_the_bounds_lie_evenly_about_the_estimate_on_the_logarithm(mu, error_ratio, quantile):
+    conformal = Conformal(0.9, quantile, 0.2)
+    low, high = (f(mu, expected_error_ratio=error_ratio) for f in (conformal.mu_low, conformal.mu_high))
+    assert low < mu < high
+    assert log(mu / low) == pytest.approx(quantile * error_ratio)
+    assert log(high / mu) == pytest.approx(quantile * error_ratio)
+
+
+def test_a_large_expected_error_says_no_more_than_at_least():
+    assert not CONFORMAL.at_least(expected_error_ratio=0.15)
+    assert CONFORMAL.at_least(expected_error_ratio=0.1501)
 
 
 def test_a_manifest_of_another_format_is_refused():
@@ -71,8 +160,11 @@ def test_a_manifest_of_another_format_is_refused():
         manifest_from_json(json.dumps(raw))
 
 
+MANGLED = [None, 7, [], {}, "x", [[[]]]]
+
+
 @pytest.mark.parametrize("key", [f.name for f in dataclasses.fields(BundleManifest)])
-@pytest.mark.parametrize("value", [None, 7, [], {}, "x", [[[]]]])
+@pytest.mark.parametrize("value", MANGLED)
 def test_a_mangled_manifest_is_refused_and_never_crashes(key, value):
     raw = json.loads(manifest_to_json(manifest()))
     raw[key] = value
@@ -87,17 +179,29 @@ def test_a_mangled_manifest_is_refused_and_never_crashes(key, value):
         manifest_from_json(json.dumps(raw))
 
 
-@pytest.mark.parametrize("text", ["", "[]", "7", "null", "{", '{"format_version": 1}'])
+@pytest.mark.parametrize("key", [f.name for f in dataclasses.fields(ModelManifest)])
+@pytest.mark.parametrize("value", MANGLED)
+def test_a_mangled_model_is_refused_and_never_crashes(key, value):
+    raw = json.loads(manifest_to_json(manifest()))
+    raw["models"][0][key] = value
+    with pytest.raises((BundleError, FeatureTableError)):
+        manifest_from_json(json.dumps(raw))
+    del raw["models"][0][key]
+    with pytest.raises(BundleError, match=key):
+        manifest_from_json(json.dumps(raw))
+
+
+@pytest.mark.parametrize("text", ["", "[]", "7", "null", "{", '{"format_version": 1}', '{"format_version": 2}'])
 def test_what_is_no_manifest_is_a_bundle_error(text):
     with pytest.raises(BundleError):
         manifest_from_json(text)
 
 
 def test_files_must_be_the_ones_named_byte_for_byte():
-    check_files(manifest(), {"model.onnx": MODEL})
+    check_files(manifest(), FILES)
     with pytest.raises(BundleError, match="differs"):
-        check_files(manifest(), {"model.onnx": MODEL + b"!"})
+        check_files(manifest(), {**FILES, "error.onnx": b"!"})
     with pytest.raises(BundleError, match="holds"):
         check_files(manifest(), {})
     with pytest.raises(BundleError, match="extra"):
-        check_files(manifest(), {"model.onnx": MODEL, "extra": b""})
+        check_files(manifest(), {**FILES, "extra": b""})

@@ -10,12 +10,12 @@ import numpy as np
 
 from roadgrip.bundle import BundleManifest
 from roadgrip.errors import StoreError
-from roadgrip.features import TABLE_DIGEST, statistics_of
+from roadgrip.features import NEWEST_TABLE, TABLES, FeatureTable, statistics_of
 from roadgrip.records import KinematicSummary, Passage, QualityFlag
 from roadgrip.section import BankOrigin, RoadSection, build_section
 from roadgrip.units import FloatArray, kph_to_mps
-from rsu_app.ports import Event, PassageEntry, StoreCounts, StoredEstimate
-from tests.bundles import BIAS_MU, linear_mu, make_manifest
+from rsu_app.ports import Estimates, Event, PassageEntry, StoreCounts, StoredEstimate
+from tests.bundles import BIAS_MU, ERROR_BIAS_RATIO, ERROR_WEIGHTS, linear_mu, make_manifest
 
 NOON_UNIX_S = 1_767_268_800.0
 """2026-01-01 12:00 UTC."""
@@ -51,12 +51,16 @@ class FakeModel:
     def manifest(self) -> BundleManifest:
         return self._manifest
 
-    def estimate_mu(self, rows: FloatArray) -> FloatArray:
+    def estimate(self, table_digest: str, rows: FloatArray) -> Estimates:
         if self.error is not None:
             raise self.error
-        if self.answer_mu is not None:
-            return np.full(len(rows), self.answer_mu)
-        return linear_mu(rows)
+        table = TABLES[table_digest]
+        mu = linear_mu(rows, table=table) if self.answer_mu is None else np.full(len(rows), self.answer_mu)
+        model = self._manifest.model_for(table_digest)
+        assert model is not None
+        if model.conformal is None:
+            return Estimates(mu, None)
+        return Estimates(mu, linear_mu(rows, weights=ERROR_WEIGHTS, bias_mu=ERROR_BIAS_RATIO, table=table))
 
 
 class FakeStore:
@@ -152,9 +156,13 @@ def make_passage(
     mu: float = 0.5,
     age_s: float = 0.0,
     passage_id: bytes | None = None,
+    table: FeatureTable = NEWEST_TABLE,
     **changes: Any,
 ) -> Passage:
-    """A passage that can have happened and from which the linear model reads `mu`; different for every seed."""
+    """A passage that can have happened and from which the linear model reads `mu`; different for every seed.
+
+    Features beyond the paper's statistics are zero, or as near to it as their range allows.
+    """
     rng = np.random.default_rng(seed)
     count = 100
     sideslip = rng.normal(0.0, 0.01, count)
@@ -165,11 +173,13 @@ def make_passage(
         rng.normal(0.0, 0.05, count),
         rng.normal(15.0, 0.5, count),
     )
-    values = np.concatenate([statistics_of(signal) for signal in signals]).astype(np.float32)
+    values = np.clip(0.0, table.minimum, table.maximum)[: len(table.kinematic)]
+    values[table.statistics_columns.ravel()] = np.concatenate([statistics_of(signal) for signal in signals])
+    values = values.astype(np.float32)
     summary = {
         "values": tuple(float(v) for v in values),
-        "table_digest": TABLE_DIGEST,
-        "duration_s": section.length_m / float(values[44]),
+        "table_digest": table.digest,
+        "duration_s": section.length_m / float(values[table.index("speed_mean_mps")]),
         "quality": QualityFlag.NONE,
     } | {key: changes.pop(key) for key in ("values", "table_digest", "duration_s", "quality") if key in changes}
     return Passage(

@@ -49,22 +49,22 @@ def test_one_flipped_bit_in_the_model_is_seen(bundle: tuple[Path, BundleManifest
 
 def test_golden_vectors_are_what_the_model_answers(bundle: tuple[Path, BundleManifest]) -> None:
     folder, manifest = bundle
-    answers = onnx_estimate_mu((folder / "model.onnx").read_bytes(), np.array(manifest.golden.rows))
-    assert answers == pytest.approx(np.array(manifest.golden.mu), abs=1e-7)
+    answers = onnx_estimate_mu((folder / "model.onnx").read_bytes(), np.array(manifest.models[0].golden.rows))
+    assert answers == pytest.approx(np.array(manifest.models[0].golden.mu), abs=1e-7)
 
 
 def test_golden_vectors_are_passages_the_trees_never_saw(bundle: tuple[Path, BundleManifest], fitted: Fitted) -> None:
     _, manifest = bundle
     unseen = {tuple(row) for row in RUNS.features[fitted.test_rows].astype(np.float32).tolist()}
-    assert set(manifest.golden.rows) <= unseen
-    assert len(set(manifest.golden.rows)) == GOLDEN_ROWS_COUNT
+    assert set(manifest.models[0].golden.rows) <= unseen
+    assert len(set(manifest.models[0].golden.rows)) == GOLDEN_ROWS_COUNT
 
 
 def test_the_envelope_is_learned_from_what_the_trees_learned_from(
     bundle: tuple[Path, BundleManifest], fitted: Fitted
 ) -> None:
     _, manifest = bundle
-    assert manifest.envelope == learn_envelope(RUNS.features[fitted.train_rows])
+    assert manifest.models[0].envelope == learn_envelope(RUNS.features[fitted.train_rows])
 
 
 def test_an_export_that_answers_otherwise_leaves_nothing_behind(

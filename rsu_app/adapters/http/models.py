@@ -9,7 +9,7 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field, JsonValue
 
-from roadgrip.features import KINEMATIC_FEATURES, TABLE_DIGEST
+from roadgrip.features import NEWEST_TABLE
 from roadgrip.records import (
     PASSAGE_ID_BYTES,
     Accepted,
@@ -158,11 +158,11 @@ class PassageModel(_Model):
         {
             "passage_id": "00112233445566778899aabbccddeeff",
             "map_version": "0123456789abcdef",
-            "table_digest": TABLE_DIGEST,
+            "table_digest": NEWEST_TABLE.digest,
             "duration_s": 27.4,
             "age_s": 1.2,
             "quality": 0,
-            "values": [0.0] * len(KINEMATIC_FEATURES),
+            "values": [0.0] * len(NEWEST_TABLE.kinematic),
         }
     )
 
@@ -175,7 +175,7 @@ class PassageModel(_Model):
         default=0, strict=True, ge=0, le=int(sum(QualityFlag)), description="Flags the vehicle sets about its summary."
     )
     values: tuple[Number, ...] = Field(
-        max_length=256, description="The kinematic features in the order of the feature table."
+        max_length=256, description="The kinematic features in the order of the table that the digest names."
     )
 
     def to_record(self, section_id: str) -> Passage:

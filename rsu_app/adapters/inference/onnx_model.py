@@ -1,42 +1,102 @@
-"""From a bundle folder to a model that answers.
+"""From a bundle folder to models that answer.
 
-One row costs about 25 microseconds of CPU, a hop to another thread and back about twice that. So the unit asks the
-model on the event loop, and only loading a bundle belongs on another thread.
+One row costs a model about 25 microseconds of CPU, a hop to another thread and back about twice that. So the unit
+asks its models on the event loop, and only loading a bundle belongs on another thread.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 import onnxruntime
+from numpy.typing import NDArray
 
-from roadgrip.bundle import MANIFEST_NAME, BundleManifest, check_files, manifest_from_json
+from roadgrip.bundle import MANIFEST_NAME, BundleManifest, ModelManifest, check_files, manifest_from_json
 from roadgrip.errors import BundleError
-from roadgrip.features import FEATURES
+from roadgrip.features import table_of
 from roadgrip.units import FloatArray
+from rsu_app.ports import Estimates
 from rsu_app.usecases.readiness import check_golden
 
 FILE_LIMIT_BYTES = 256 * 1024 * 1024
 """A larger file is no model of ours; reading it could take the unit's memory."""
 
-_MINIMUM = np.array([f.minimum for f in FEATURES], dtype=np.float32)
-_MAXIMUM = np.array([f.maximum for f in FEATURES], dtype=np.float32)
-
 
 class OnnxFrictionModel:
-    """A model in a session of its own; see `rsu_app.ports.FrictionModel` for what it promises.
+    """The models of a bundle in sessions of their own; see `rsu_app.ports.FrictionModel` for what they promise.
 
     Args:
         manifest: What the bundle says about itself.
-        model: The model's bytes, as the manifest's digest names them.
+        files: The models' bytes by file name, as the manifest's digests name them.
 
     Raises:
-        BundleError: The bytes are no model with one input of the table's width.
+        BundleError: Some bytes are no model with one input of its table's width.
     """
 
-    def __init__(self, manifest: BundleManifest, model: bytes) -> None:
+    def __init__(self, manifest: BundleManifest, files: Mapping[str, bytes]) -> None:
         self._manifest = manifest
+        self._served = {model.table_digest: _TableModel(manifest.bundle_id, model, files) for model in manifest.models}
+
+    @property
+    def manifest(self) -> BundleManifest:
+        """What the bundle says about itself."""
+        return self._manifest
+
+    def estimate(self, table_digest: str, rows: FloatArray) -> Estimates:
+        """Return the friction estimate of each row, and its expected error if the bundle has a model for it.
+
+        Args:
+            table_digest: One of the feature tables the bundle serves.
+            rows: Features in the order of that table. (n, columns)
+
+        Raises:
+            BundleError: No model for this table, or it does not answer one number per row.
+            ValueError: A row holds a value outside its feature's range; the model would answer with a plausible
+                number even to infinity.
+        """
+        served = self._served.get(table_digest)
+        if served is None:
+            raise BundleError(f"bundle {self._manifest.bundle_id} has no model for feature table {table_digest}")
+        return served.estimate(rows)
+
+
+class _TableModel:
+    """What a bundle holds for one feature table: the friction model, perhaps one for its expected error."""
+
+    def __init__(self, bundle_id: str, manifest: ModelManifest, files: Mapping[str, bytes]) -> None:
+        self._table = table_of(manifest.table_digest, subject=f"bundle {bundle_id}")
+        self._minimum = self._table.minimum.astype(np.float32)
+        self._maximum = self._table.maximum.astype(np.float32)
+        regressors = [
+            _Regressor(f"bundle {bundle_id}", name, files[name], width=len(self._table)) for name in manifest.files
+        ]
+        self._friction = regressors[0]
+        self._error = regressors[1] if len(regressors) > 1 else None
+
+    def estimate(self, rows: FloatArray) -> Estimates:
+        """Return what the models answer to rows that they may be asked about."""
+        with np.errstate(over="ignore"):
+            values = np.ascontiguousarray(rows, dtype=np.float32)
+        if values.ndim != 2 or values.shape[1] != len(self._table):
+            raise ValueError(f"rows of {len(self._table)} features are asked for, not {values.shape}")
+        # Written so that NaN, which compares false with everything, is refused too.
+        inside = (values >= self._minimum) & (values <= self._maximum)
+        if not inside.all():
+            column = int(np.argmin(inside.all(axis=0)))
+            raise ValueError(f"{self._table.names[column]} holds a value that no passage can have")
+        return Estimates(
+            mu=self._friction.answers(values),
+            expected_error_ratio=None if self._error is None else self._error.answers(values),
+        )
+
+
+class _Regressor:
+    """One ONNX graph: rows of features in, a number per row out."""
+
+    def __init__(self, subject: str, name: str, content: bytes, *, width: int) -> None:
+        self._subject = f"{subject}: {name}"
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = 1
         options.inter_op_num_threads = 1
@@ -45,66 +105,40 @@ class OnnxFrictionModel:
         # Warnings about graph details are for the laboratory.
         options.log_severity_level = 3
         try:
-            self._session = onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
+            self._session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
         except Exception as error:
             # The library's exceptions share no base class of their own.
-            raise BundleError(f"bundle {manifest.bundle_id}: {manifest.model_file} is no model: {error}") from error
+            raise BundleError(f"{self._subject} is no model: {error}") from error
         inputs = self._session.get_inputs()
-        if len(inputs) != 1 or inputs[0].shape[-1] != len(FEATURES):
+        if len(inputs) != 1 or inputs[0].shape[-1] != width:
             shapes = [entry.shape for entry in inputs]
-            raise BundleError(f"bundle {manifest.bundle_id}: the model takes {shapes}, not rows of {len(FEATURES)}")
+            raise BundleError(f"{self._subject} takes {shapes}, not rows of {width}")
         self._input_name = inputs[0].name
 
-    @property
-    def manifest(self) -> BundleManifest:
-        """What the bundle says about itself."""
-        return self._manifest
-
-    def estimate_mu(self, rows: FloatArray) -> FloatArray:
-        """Return the friction estimate of each row.
-
-        Args:
-            rows: Features in the order of the table. (n, 78)
-
-        Returns:
-            The estimates. (n,)
-
-        Raises:
-            BundleError: The model does not answer one number per row.
-            ValueError: A row holds a value outside its feature's range; the model would answer with a plausible
-                number even to infinity.
-        """
-        with np.errstate(over="ignore"):
-            values = np.ascontiguousarray(rows, dtype=np.float32)
-        if values.ndim != 2 or values.shape[1] != len(FEATURES):
-            raise ValueError(f"rows of {len(FEATURES)} features are asked for, not {values.shape}")
-        # Written so that NaN, which compares false with everything, is refused too.
-        inside = (values >= _MINIMUM) & (values <= _MAXIMUM)
-        if not inside.all():
-            column = int(np.argmin(inside.all(axis=0)))
-            raise ValueError(f"{FEATURES[column].name} holds a value that no passage can have")
+    def answers(self, values: NDArray[np.float32]) -> FloatArray:
+        """Return a number per row. (n,)"""
         try:
             answers = self._session.run(None, {self._input_name: values})[0]
         except Exception as error:
-            raise BundleError(f"bundle {self._manifest.bundle_id} does not answer: {error}") from error
+            raise BundleError(f"{self._subject} does not answer: {error}") from error
         answers = np.asarray(answers, dtype=np.float64)
         if answers.size != len(values):
-            raise BundleError(f"bundle {self._manifest.bundle_id} gave {answers.shape} for {len(values)} rows")
+            raise BundleError(f"{self._subject} gave {answers.shape} for {len(values)} rows")
         return answers.reshape(-1)
 
 
 def load_bundle(folder: Path) -> OnnxFrictionModel:
-    """Return the model of a bundle after everything that can be checked was checked.
+    """Return the models of a bundle after everything that can be checked was checked.
 
-    The manifest contradicts neither itself nor this software's feature table; every file is the one it names; the
-    model answers its golden vectors.
+    The manifest contradicts neither itself nor this software's feature tables; every file is the one it names; the
+    models answer their golden vectors.
 
     Args:
         folder: Holds `manifest.json` and the files it names, nothing else.
 
     Raises:
         BundleError: The bundle must not be trusted; the message says why.
-        FeatureTableError: It was made for another feature table.
+        FeatureTableError: It was made for a feature table that this software does not speak.
     """
     files = _read_files(folder)
     text = files.pop(MANIFEST_NAME, None)
@@ -113,7 +147,7 @@ def load_bundle(folder: Path) -> OnnxFrictionModel:
     try:
         manifest = manifest_from_json(text.decode())
         check_files(manifest, files)
-        model = OnnxFrictionModel(manifest, files[manifest.model_file])
+        model = OnnxFrictionModel(manifest, files)
         check_golden(model)
     except UnicodeDecodeError as error:
         raise BundleError(f"{folder / MANIFEST_NAME} is no text") from error

@@ -26,6 +26,9 @@ _ESTIMATE_COLUMNS = (
     _P.flags,
     _P.left_unix_s,
     _P.bundle_id,
+    _P.expected_error_ratio,
+    _P.mu_low,
+    _P.at_least,
 )
 
 
@@ -129,6 +132,9 @@ def _estimate(row: Any) -> StoredEstimate:
         flags=NotCounted(row.flags),
         left_unix_s=row.left_unix_s,
         bundle_id=row.bundle_id,
+        expected_error_ratio=row.expected_error_ratio,
+        mu_low=row.mu_low,
+        at_least=bool(row.at_least),
     )
 
 
@@ -150,4 +156,7 @@ def _passage_row(entry: PassageEntry) -> dict[str, Any]:
         "flags": int(estimate.flags),
         "content_digest": estimate.content_digest,
         "values_digest": estimate.values_digest,
+        "expected_error_ratio": estimate.expected_error_ratio,
+        "mu_low": estimate.mu_low,
+        "at_least": int(estimate.at_least),
     }

@@ -5,10 +5,10 @@ The migrations make the same tables in their own words; a test compares both.
 
 from __future__ import annotations
 
-from sqlalchemy import CheckConstraint, Column, Index, Integer, LargeBinary, MetaData, Table, Text
+from sqlalchemy import CheckConstraint, Column, Index, Integer, LargeBinary, MetaData, Table, Text, text
 from sqlalchemy.types import REAL
 
-REVISION = "0001"
+REVISION = "0002"
 """The migration after which the database looks like this."""
 
 METADATA = MetaData()
@@ -35,6 +35,11 @@ PASSAGES = Table(
     Column("content_digest", LargeBinary, nullable=False),
     # Unique: the same values under another passage id are a replay, for as long as the first is kept.
     Column("values_digest", LargeBinary, nullable=False, unique=True),
+    # What the model expects of its own error; NULL where it says nothing.
+    Column("expected_error_ratio", REAL),
+    Column("mu_low", REAL),
+    # 1: the passage only says that the friction is at least `mu_low`.
+    Column("at_least", Integer, nullable=False, server_default=text("0")),
     CheckConstraint("length(passage_id) = 16", name="passage_id_length"),
     Index("passages_received", "received_unix_s"),
     Index("passages_section_left", "section_id", "left_unix_s"),

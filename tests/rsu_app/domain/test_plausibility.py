@@ -6,15 +6,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from roadgrip.bundle import Envelope
-from roadgrip.features import FEATURES, KINEMATIC_FEATURES
+from roadgrip.features import NEWEST_TABLE, PAPER_TABLE
 from roadgrip.reasons import Reason
 from roadgrip.records import NotCounted
 from rsu_app.domain.plausibility import age_flag, envelope_flag, estimate_flag, implausibility
-from tests.bundles import make_manifest
+from tests.bundles import make_model
 from tests.rsu_app.fakes import make_passage, make_section
 
 SECTION = make_section()
-NAMES = [f.name for f in KINEMATIC_FEATURES]
+NAMES = [f.name for f in NEWEST_TABLE.kinematic]
 
 
 def with_value(name, value):
@@ -60,7 +60,7 @@ def test_a_time_that_is_no_number_is_refused(passage):
     assert reason_of(passage) is Reason.NOT_FINITE
 
 
-@pytest.mark.parametrize("feature", KINEMATIC_FEATURES, ids=lambda f: f.name)
+@pytest.mark.parametrize("feature", NEWEST_TABLE.kinematic, ids=lambda f: f.name)
 def test_a_value_beyond_what_can_be_true_is_refused_by_name(feature):
     beyond = feature.maximum + 0.01 * (feature.maximum - feature.minimum)
     refusal = implausibility(with_value(feature.name, beyond), SECTION)
@@ -124,13 +124,37 @@ def test_another_feature_table_is_refused_before_its_values_are_looked_at():
     assert reason_of(passage) is Reason.WRONG_FEATURE_TABLE
 
 
+def test_a_table_that_is_known_is_refused_where_it_is_not_served(wider_table):
+    passage = make_passage(SECTION, table=wider_table)
+    assert reason_of(passage) is None
+    refusal = implausibility(passage, SECTION, table_digests=(PAPER_TABLE.digest,))
+    assert refusal is not None
+    assert refusal.reason is Reason.WRONG_FEATURE_TABLE
+    assert wider_table.digest in refusal.detail
+    assert PAPER_TABLE.digest in refusal.detail
+
+
+def test_a_summary_of_one_table_under_the_digest_of_another_is_refused(wider_table):
+    wide, narrow = (make_passage(SECTION, table=table).summary.values for table in (wider_table, PAPER_TABLE))
+    assert reason_of(make_passage(SECTION, values=wide, table_digest=PAPER_TABLE.digest)) is Reason.MALFORMED
+    assert reason_of(make_passage(SECTION, values=narrow, table_digest=wider_table.digest)) is Reason.MALFORMED
+
+
+def test_features_beside_the_statistics_know_their_range_and_no_other_law(wider_table):
+    values = list(make_passage(SECTION, table=wider_table).summary.values)
+    values[55:66] = np.linspace(50.0, -50.0, 11)  # as statistics of a signal they would break every law
+    assert reason_of(make_passage(SECTION, table=wider_table, values=tuple(values))) is None
+    values[60] = 50.1
+    assert reason_of(make_passage(SECTION, table=wider_table, values=tuple(values))) is Reason.OUT_OF_RANGE
+
+
 @pytest.mark.parametrize("changes", [{"values": (1.0,)}, {"passage_id": b"short"}])
 def test_what_is_no_passage_is_malformed(changes):
     assert reason_of(make_passage(SECTION, **changes)) is Reason.MALFORMED
 
 
 def test_a_passage_leaves_the_envelope_with_one_feature_more_than_allowed():
-    width = len(FEATURES)
+    width = len(NEWEST_TABLE)
     envelope = Envelope(lower=(0.0,) * width, upper=(1.0,) * width, outside_allowed_count=2)
     row = np.full(width, 0.5)
     row[:2] = (-1.0, 2.0)
@@ -152,7 +176,7 @@ def test_a_passage_leaves_the_envelope_with_one_feature_more_than_allowed():
     ],
 )
 def test_an_estimate_must_be_near_the_friction_the_model_was_trained_with(mu, flag):
-    assert estimate_flag(mu, make_manifest(mu_range=(0.1, 1.0))) == flag
+    assert estimate_flag(mu, make_model(mu_range=(0.1, 1.0))) == flag
 
 
 def test_an_age_beyond_the_window_is_flagged():

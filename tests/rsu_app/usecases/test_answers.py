@@ -5,7 +5,7 @@ import asyncio
 import pytest
 
 from roadgrip.errors import ConfigurationError
-from roadgrip.features import TABLE_DIGEST
+from roadgrip.features import NEWEST_TABLE
 from roadgrip.records import (
     AdvisoryNotice,
     AdvisoryReason,
@@ -51,7 +51,7 @@ def test_a_section_may_have_a_policy_of_its_own():
 
 
 def test_the_map_comes_with_the_table_that_is_served():
-    assert Site().unit.map_offer(SECTION.section_id) == MapOffer(section=SECTION, table_digests=(TABLE_DIGEST,))
+    assert Site().unit.map_offer(SECTION.section_id) == MapOffer(section=SECTION, table_digests=(NEWEST_TABLE.digest,))
 
 
 def test_beacon_and_notice_say_what_the_advisory_says():

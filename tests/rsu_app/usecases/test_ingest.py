@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from roadgrip.bundle import Envelope
 from roadgrip.errors import StoreError, StoreFullError
-from roadgrip.features import FEATURES
+from roadgrip.features import NEWEST_TABLE
 from roadgrip.reasons import Reason
 from roadgrip.records import Accepted, FrictionInterval, NotCounted, QualityFlag
 from rsu_app.usecases import AcceptedAgain, UnitLimits
@@ -163,7 +163,7 @@ def test_duplicates_in_flight_count_once():
 
 
 def test_a_passage_outside_the_envelope_is_stored_and_not_counted():
-    width = len(FEATURES)
+    width = len(NEWEST_TABLE)
     narrow = Envelope(lower=(0.0,) * width, upper=(0.0,) * width, outside_allowed_count=3)
     site = Site(model=FakeModel(make_manifest(envelope=narrow)))
     outcome = asyncio.run(site.unit.ingest_passage(make_passage(SECTION)))

@@ -7,6 +7,7 @@ import pytest
 from roadgrip.errors import StoreError
 from rsu_app.adapters.store import open_store
 from rsu_app.adapters.store.recovery import KEPT_COUNT, damage, move_aside
+from rsu_app.adapters.store.schema import REVISION
 from tests.rsu_app.adapters.store.stories import make_entry
 
 
@@ -64,7 +65,7 @@ def test_an_empty_file_is_a_fresh_database(path):
     path.touch()
     count, notes = count_and_notes(path)
     assert count == 0
-    assert notes == ("the database was migrated from revision None to 0001",)
+    assert notes == (f"the database was migrated from revision None to {REVISION}",)
 
 
 def test_damaged_copies_do_not_pile_up(path):

@@ -3,6 +3,7 @@ from __future__ import annotations
 import asyncio
 import sqlite3
 from contextlib import asynccontextmanager, closing
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from roadgrip.records import NotCounted
 from rsu_app.adapters.store import WriterLimits, open_store
 from rsu_app.adapters.store.connection import reading_engine, writing_engine
 from rsu_app.adapters.store.rows import EVENTS_LIMIT_COUNT
+from rsu_app.adapters.store.schema import REVISION
 from rsu_app.ports import Event
 from tests.rsu_app.adapters.store.stories import SECTION, make_entry
 from tests.rsu_app.fakes import NOON_UNIX_S, make_passage
@@ -76,6 +78,20 @@ def test_an_estimate_that_is_no_number_is_kept_as_missing(path):
             assert estimate.mu is None
 
     asyncio.run(story())
+
+
+@pytest.mark.parametrize("said", [(None, None, False), (0.1, 0.4, False), (0.3, 0.25, True)])
+def test_what_is_expected_of_the_error_comes_back_as_it_was(path, said):
+    error_ratio, mu_low, at_least = said
+    entry = make_entry()
+    estimate = replace(entry.estimate, expected_error_ratio=error_ratio, mu_low=mu_low, at_least=at_least)
+
+    async def story():
+        async with opened(path) as store:
+            await store.append(replace(entry, estimate=estimate))
+            return await store.load(since_unix_s=0.0, limit_count=10)
+
+    assert asyncio.run(story()) == [estimate]
 
 
 def test_the_same_id_or_the_same_values_return_what_is_held(path):
@@ -291,7 +307,9 @@ def open_and_close(path):
 
 @pytest.mark.parametrize("name", ["with space.db", "per%cent.db", "ques?tion.db", "hash#.db", "ünïcode.db"])
 def test_any_file_name_will_do(tmp_path, name):
-    assert open_and_close(tmp_path / "new folder" / name) == ("the database was migrated from revision None to 0001",)
+    assert open_and_close(tmp_path / "new folder" / name) == (
+        f"the database was migrated from revision None to {REVISION}",
+    )
     assert (tmp_path / "new folder" / name).stat().st_size > 0
     assert open_and_close(tmp_path / "new folder" / name) == ()
 

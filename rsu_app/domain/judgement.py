@@ -1,0 +1,60 @@
+"""What one passage says about friction, from what the models of a bundle answered for it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import isfinite
+
+from roadgrip.bundle import ModelManifest
+from roadgrip.records import NotCounted
+from roadgrip.units import FloatArray
+from rsu_app.domain.plausibility import envelope_flag, estimate_flag
+
+
+@dataclass(frozen=True, slots=True)
+class Judgement:
+    """What one passage says.
+
+    Attributes:
+        mu: The estimate, or None when the model gave no number.
+        flags: Why it does not count, if it does not.
+        expected_error_ratio: Size of the error to expect, relative to the estimate; None when the bundle has no
+            model for it.
+        mu_low: Below this the friction hardly is, with the coverage the bundle promises; None without an expected
+            error.
+        at_least: The estimate is doubtful: the passage only says that the friction is at least `mu_low`.
+    """
+
+    mu: float | None
+    flags: NotCounted
+    expected_error_ratio: float | None = None
+    mu_low: float | None = None
+    at_least: bool = False
+
+
+def judgement(
+    row: FloatArray, manifest: ModelManifest, *, mu: float, expected_error_ratio: float | None = None
+) -> Judgement:
+    """Return what a passage says.
+
+    Args:
+        row: Its features in the order of the model's table. (columns,)
+        manifest: What the model says about itself.
+        mu: What the friction model answered.
+        expected_error_ratio: What the model for the expected error answered; None without one.
+    """
+    flags = envelope_flag(row, manifest.envelope) | estimate_flag(mu, manifest)
+    if not isfinite(mu):
+        return Judgement(mu=None, flags=flags)
+    if expected_error_ratio is None or manifest.conformal is None:
+        return Judgement(mu=mu, flags=flags)
+    if not (isfinite(expected_error_ratio) and expected_error_ratio > 0.0):
+        # A model that expects no error, or less than none, is as lost as one that answers an impossible friction.
+        return Judgement(mu=mu, flags=flags | NotCounted.ESTIMATE_OUT_OF_RANGE)
+    return Judgement(
+        mu=mu,
+        flags=flags,
+        expected_error_ratio=expected_error_ratio,
+        mu_low=manifest.conformal.mu_low(mu, expected_error_ratio=expected_error_ratio),
+        at_least=manifest.conformal.at_least(expected_error_ratio=expected_error_ratio),
+    )

@@ -1,0 +1,115 @@
+"""What the unit holds for each section, and how a passage over it is judged."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from roadgrip.errors import BundleError, ConfigurationError
+from roadgrip.features import TABLES, road_features
+from roadgrip.records import Advisory, Passage
+from roadgrip.section import RoadSection
+from roadgrip.units import FloatArray
+from rsu_app.domain.advisory import AdvisoryPolicy
+from rsu_app.domain.judgement import Judgement, judgement
+from rsu_app.domain.plausibility import summary_values
+from rsu_app.domain.window import FrictionWindow
+from rsu_app.ports import FrictionModel
+from rsu_app.usecases.changes import Subscription
+
+
+@dataclass(slots=True)
+class SectionState:
+    """Everything that is known of a section right now.
+
+    Attributes:
+        section: Its map.
+        policy: What the road authority decides about its advice.
+        road_rows: The features that follow from the map, by the digest of the feature table.
+        window: The estimates of the last hour.
+        listeners: Who is told of changes.
+        advisory: What drivers were told last; None before the first time.
+    """
+
+    section: RoadSection
+    policy: AdvisoryPolicy
+    road_rows: Mapping[str, FloatArray]
+    window: FrictionWindow
+    listeners: set[Subscription]
+    advisory: Advisory | None = None
+
+
+def section_states(
+    sections: Iterable[RoadSection],
+    *,
+    policy: AdvisoryPolicy,
+    section_policies: Mapping[str, AdvisoryPolicy],
+    window_s: float,
+    window_capacity_count: int,
+) -> dict[str, SectionState]:
+    """Return a fresh state for each section, by its id.
+
+    Args:
+        sections: The maps, at least one.
+        policy: For every section without one of its own.
+        section_policies: By section id.
+        window_s: How long an estimate counts.
+        window_capacity_count: Estimates per section that are counted at once.
+
+    Raises:
+        ConfigurationError: The sections or policies contradict themselves.
+    """
+    states: dict[str, SectionState] = {}
+    for section in sections:
+        if section.section_id in states:
+            raise ConfigurationError(f"section {section.section_id} is given twice")
+        states[section.section_id] = SectionState(
+            section=section,
+            policy=section_policies.get(section.section_id, policy),
+            road_rows=_road_rows(section),
+            window=FrictionWindow(window_s=window_s, capacity_count=window_capacity_count),
+            listeners=set(),
+        )
+    if not states:
+        raise ConfigurationError("a unit without a section has nothing to do")
+    if unknown := set(section_policies) - set(states):
+        raise ConfigurationError(f"policies for sections that are not served: {', '.join(sorted(unknown))}")
+    return states
+
+
+def _road_rows(section: RoadSection) -> dict[str, FloatArray]:
+    # Once per map: the road's features never change while it stays the same.
+    rows = {digest: road_features(section, table) for digest, table in TABLES.items()}
+    for digest, table in TABLES.items():
+        for feature, value in zip(table.road, rows[digest], strict=True):
+            if not feature.minimum <= value <= feature.maximum:
+                raise ConfigurationError(f"section {section.section_id}: {feature.name} = {value:.6g} is out of range")
+    return rows
+
+
+def judged_passage(passage: Passage, state: SectionState, model: FrictionModel) -> Judgement:
+    """Return what the bundle's model for the summary's own feature table says; never that for another one.
+
+    Args:
+        passage: One that can have happened.
+        state: Of the section it names.
+        model: The live models.
+
+    Raises:
+        BundleError: There is no model for that table, or it does not answer.
+    """
+    digest = passage.summary.table_digest
+    manifest = model.manifest.model_for(digest)
+    if manifest is None:
+        raise BundleError(f"bundle {model.manifest.bundle_id} has no model for feature table {digest}")
+    row = np.concatenate([summary_values(passage.summary).astype(np.float64), state.road_rows[digest]])
+    answer = model.estimate(digest, row[None, :])
+    errors = answer.expected_error_ratio
+    return judgement(
+        row,
+        manifest,
+        mu=float(answer.mu[0]),
+        expected_error_ratio=None if errors is None else float(errors[0]),
+    )
