@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Protocol
 
-from training.study.chapter import Chapter, Verdict
+from training.study.chapter import Chapter
 from training.study.finding import Computed, Finding, Timing
 from training.study.workbench import StudyWorkbench
 from vehicle_client.simulator.plan import SensorGrade
@@ -54,6 +54,10 @@ class Watcher(Protocol):
 
     def fails(self, what: str, details: str) -> None:
         """A stage failed; the study goes on without it."""
+        ...
+
+    def found(self, finding: Finding) -> None:
+        """A chapter is through, with all grades of sensors."""
         ...
 
 
@@ -107,39 +111,36 @@ def conduct(
                 watcher.fails(what, traceback.format_exc())
             else:
                 watcher.ends(what, computed[grade])
-        findings.append(_finding(chapter, computed, failures, watcher))
+        # With what the other grade found before, or the verdict would say less than is known.
+        others = {grade: bench.kept(chapter, grade) for grade in SensorGrade if grade not in grades}
+        known = {grade: kept for grade, kept in others.items() if kept is not None}
+        finding = _finding(chapter, {**computed, **known}, failures)
+        if "verdict" in finding.failures:
+            watcher.fails(f"{chapter.name}, verdict", finding.failures["verdict"])
+        watcher.found(finding)
+        findings.append(finding)
     return tuple(findings)
 
 
-def kept_findings(bench: StudyWorkbench, chapters: tuple[Chapter, ...], watcher: Watcher) -> tuple[Finding, ...]:
+def kept_findings(bench: StudyWorkbench, chapters: tuple[Chapter, ...]) -> tuple[Finding, ...]:
     """Return what chapters found before, current or not, without computing anything; none for those that never did."""
-    findings = []
-    for chapter in chapters:
-        computed = {grade: kept for grade in SensorGrade if (kept := bench.kept(chapter, grade)) is not None}
-        if computed:
-            findings.append(_finding(chapter, computed, {}, watcher))
-    return tuple(findings)
+    kept = {
+        chapter.name: {grade: found for grade in SensorGrade if (found := bench.kept(chapter, grade)) is not None}
+        for chapter in chapters
+    }
+    return tuple(_finding(chapter, kept[chapter.name], {}) for chapter in chapters if kept[chapter.name])
 
 
-def _finding(
-    chapter: Chapter, computed: Mapping[SensorGrade, Computed], failures: dict[str, str], watcher: Watcher
-) -> Finding:
-    verdict, failure = _judged(chapter, computed)
-    if failure is not None:
-        watcher.fails(f"{chapter.name}, verdict", failure)
-        failures = {**failures, "verdict": failure.splitlines()[-1]}
-    return Finding(chapter, computed, verdict, failures)
-
-
-def _judged(chapter: Chapter, computed: Mapping[SensorGrade, Computed]) -> tuple[Verdict | None, str | None]:
-    """Return the verdict, or why there is none."""
+def _finding(chapter: Chapter, computed: Mapping[SensorGrade, Computed], failures: Mapping[str, str]) -> Finding:
     if not computed:
-        return None, None
+        return Finding(chapter, computed, None, failures)
     results = {grade: computed[grade].result for grade in SensorGrade if grade in computed}
     try:
-        return chapter.verdict(results), None
-    except Exception:  # noqa: BLE001 - a verdict that fails takes nothing from the figures
-        return None, traceback.format_exc()
+        return Finding(chapter, computed, chapter.verdict(results), failures)
+    except Exception as error:  # noqa: BLE001 - a verdict that fails takes nothing from the figures
+        where = traceback.extract_tb(error.__traceback__)[-1]
+        failure = f"{_in_a_line(error)} (line {where.lineno} of {where.name})"
+        return Finding(chapter, computed, None, {**failures, "verdict": failure})
 
 
 def _in_a_line(error: Exception) -> str:

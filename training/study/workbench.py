@@ -243,7 +243,8 @@ def _since(began: Timing) -> Timing:
 def _read_arrays(path: Path) -> tuple[Reads, str, Arrays] | None:
     """Return what was kept; None where there is nothing, or something that a power failure cut short."""
     try:
-        with np.load(path, allow_pickle=False) as kept:
+        # Opened here: numpy leaves a file open that it cannot read.
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as kept:
             record = json.loads(str(kept[_RECORD]))
             return record["reads"], record["code"], {name: kept[name] for name in kept.files if name != _RECORD}
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
