@@ -1,6 +1,8 @@
 """Full histories of drives as Parquet, for those who want to look into them: what was sensed beside what was true.
 
-One file per shard, one row per 10 ms and run. They are large, about 10 kB per simulated second.
+One file per shard, one row per 10 ms and run. They are large, about 10 kB per simulated second. What was sensed has the
+columns of a recorded drive (`vehicle_client.recording.channels`), so that whatever reads one reads these; a column
+`run_key` says whose row it is.
 """
 
 from __future__ import annotations
@@ -17,10 +19,20 @@ import pyarrow.parquet as pq
 from roadgrip.units import FloatArray
 from training.dataset import metadata_of
 from training.scenarios import Run
-from vehicle_client.estimation.trace import WHEELS, Trace
+from vehicle_client.estimation.trace import Trace
+from vehicle_client.recording.channels import (
+    CHANNELS,
+    GNSS_COLUMNS,
+    GNSS_SPEED_COLUMN,
+    STABILITY_COLUMN,
+    TIME_COLUMN,
+)
+from vehicle_client.recording.own_columns import columns_of_trace
 from vehicle_client.simulator.drive import Drive, Truth
 
-_SENSED = ("accel_x_mps2", "accel_y_mps2", "roll_rate_radps", "yaw_rate_radps", "steer_rad")
+_EXACT = ("gnss_time_s", "lat_deg", "lon_deg")
+"""32 bits would round a position to half a metre."""
+_SENSED = (TIME_COLUMN, *CHANNELS, STABILITY_COLUMN, *GNSS_COLUMNS, GNSS_SPEED_COLUMN)
 _TRUE = (
     "station_m",
     "lateral_offset_m",
@@ -45,9 +57,7 @@ class DriveWriter:
         self._schema = pa.schema(
             [
                 ("run_key", pa.dictionary(pa.int32(), pa.string())),
-                ("time_s", pa.float32()),
-                *((name, pa.float32()) for name in _SENSED),
-                *((f"wheel_speed_{wheel}_mps", pa.float32()) for wheel in WHEELS),
+                *((name, pa.float64() if name in _EXACT else pa.float32()) for name in _SENSED),
                 *((f"true_{name}", pa.float32()) for name in _TRUE),
                 *((name, pa.bool_()) for name in _ACTIVE),
             ],
@@ -76,10 +86,11 @@ class DriveWriter:
 
 
 def _columns(run_key: str, trace: Trace, truth: Truth) -> dict[str, object]:
-    columns: dict[str, FloatArray] = {"time_s": trace.time_s}
-    columns |= {name: getattr(trace, name) for name in _SENSED}
-    columns |= {f"wheel_speed_{wheel}_mps": trace.wheel_speed_mps[:, i] for i, wheel in enumerate(WHEELS)}
+    count = len(trace.time_s)
+    sensed = columns_of_trace(trace)
+    columns: dict[str, FloatArray] = {name: sensed.get(name, np.full(count, np.nan)) for name in _SENSED}
     columns |= {f"true_{name}": getattr(truth, name) for name in _TRUE}
-    key = pa.DictionaryArray.from_arrays(pa.array(np.zeros(len(trace.time_s), dtype=np.int32)), pa.array([run_key]))
+    key = pa.DictionaryArray.from_arrays(pa.array(np.zeros(count, dtype=np.int32)), pa.array([run_key]))
     active = {name: getattr(truth, name) for name in _ACTIVE}
-    return {"run_key": key, **{name: values.astype(np.float32) for name, values in columns.items()}, **active}
+    rounded = {name: values.astype(np.float64 if name in _EXACT else np.float32) for name, values in columns.items()}
+    return {"run_key": key, **rounded, **active}

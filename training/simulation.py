@@ -15,6 +15,7 @@ from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from dataclasses import dataclass
 from pathlib import Path
 
+from roadgrip.section_file import section_to_json
 from training.code_identity import code_digest
 from training.dataset import (
     COMPLETED,
@@ -36,6 +37,8 @@ from training.workers import executor
 DRIVING_MODULES = ("training.passage_rows", "training.schedule")
 """Modules from which all that shapes a run is reached by imports."""
 DRIVES_FOLDER_NAME = "drives"
+SECTIONS_FOLDER_NAME = "sections"
+"""The maps of the roads, beside the full histories: `roadgrip-train evaluate` finds them there."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +84,7 @@ def drive_design(
     (folder / SHARDS_FOLDER_NAME).mkdir(parents=True, exist_ok=True)
     if with_drives:
         (folder / DRIVES_FOLDER_NAME).mkdir(exist_ok=True)
+        _write_sections(design, folder / SECTIONS_FOLDER_NAME)
     whole, description = folder / RUNS_FILE_NAME, design_description(design)
     finished = description.items() <= _origin(whole).items()
     if not finished:
@@ -205,6 +209,13 @@ class _Journey:
 
     def _drives_path_of(self, shard: Shard) -> Path:
         return self._folder / DRIVES_FOLDER_NAME / f"{shard.name}.parquet"
+
+
+def _write_sections(design: Design, folder: Path) -> None:
+    """Write the roads of a design as section files, as the road side unit holds them."""
+    folder.mkdir(exist_ok=True)
+    for section in {scenario.section for scenario in design.scenarios}:
+        (folder / f"{section.section_id}.json").write_text(section_to_json(section), encoding="utf-8")
 
 
 def _origin(path: Path) -> dict[str, str]:

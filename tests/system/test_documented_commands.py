@@ -169,3 +169,14 @@ def test_the_page_on_the_laboratory_ends_with_a_bundle_a_unit_takes(project_root
     run(short, tmp_path)
     checked = run("ROADGRIP_MODEL__BUNDLE_PATH=build/bundle roadgrip-rsu config check", tmp_path)
     assert "roadgrip-global" in checked
+
+
+@pytest.mark.system
+def test_the_page_on_other_peoples_drives_writes_some_and_evaluates_them(project_root, tmp_path):
+    page = project_root / "docs" / "evaluate.md"
+    printed = run(block_with(page, "evaluate --example"), tmp_path)
+    assert "counted" in printed
+    assert sorted(path.name for path in (tmp_path / "report").iterdir()) == ["passages.csv", "report.html", "report.json"]
+    raw = block_with(page, "simulate --design paper")
+    short = raw.replace("--design paper --runs 2", "--section sharp-turn --runs 1 --workers 1")
+    assert "sharp-turn, base friction 0.70" in run(short, tmp_path)
