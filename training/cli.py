@@ -11,6 +11,7 @@ Four steps (simulate, fit, export, bundle), each leaving its result on disk, or 
 
     roadgrip-train default-bundle                     remake the bundle that comes with roadgrip
     roadgrip-train tune-observer                      fit the onboard estimation to a vehicle
+    roadgrip-train evaluate --traces drives           say what a bundle makes of anybody's recorded drives
 """
 
 from __future__ import annotations
@@ -48,6 +49,7 @@ from training.cli_designs import (
     simulate,
     title_of,
 )
+from training.cli_evaluate import evaluate
 from training.cli_tune import tune_observer
 from training.dataset import Runs, read_runs
 from training.designs import Size, named_design
@@ -100,6 +102,7 @@ app.command()(simulate)
 app.command()(designs)
 app.command()(cells)
 app.command()(tune_observer)
+app.command()(evaluate)
 
 
 @app.command(name="fit")
