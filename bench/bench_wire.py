@@ -14,7 +14,7 @@ import numpy as np
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from bench.measurement import ROADS, cost_s, keep_figures, parser_of, table_of
-from roadgrip.features import KINEMATIC_FEATURES, TABLE_DIGEST
+from roadgrip.features import NEWEST_TABLE
 from roadgrip.frames import exchange_id_of, parse_frame, section_key_of, split_into_frames
 from roadgrip.records import (
     Accepted,
@@ -49,12 +49,12 @@ VERIFIER = Verifier({SIGNER.key_id: _KEY.public_key()}, required=True)
 def exchange_messages(section: RoadSection) -> dict[str, Message]:
     """Return the messages of a passage that goes well, and a beacon, by the name of their kind."""
     passage_id = bytes(range(16))
-    values = np.random.default_rng(1).normal(size=len(KINEMATIC_FEATURES)).tolist()
+    values = np.random.default_rng(1).normal(size=len(NEWEST_TABLE.kinematic)).tolist()
     interval = FrictionInterval(0.36, 0.45, 0.405, 0.395, 0.415, 0.957, 57, Confidence.RECOMMENDED, 40.0, 900.0)
     reason, confidence, speed_mps = AdvisoryReason.FRICTION_INTERVAL, Confidence.RECOMMENDED, kph_to_mps(60.0)
     messages: list[Message] = [
         Arrival(passage_id, section.section_id),
-        MapOffer(section, (TABLE_DIGEST,)),
+        MapOffer(section, (NEWEST_TABLE.digest,)),
         AdvisoryNotice(
             section.section_id,
             section.version,
@@ -62,7 +62,11 @@ def exchange_messages(section: RoadSection) -> dict[str, Message]:
             1_770_000_000,
         ),
         Passage(
-            passage_id, section.section_id, section.version, KinematicSummary(tuple(values), TABLE_DIGEST, 31.27), 2.35
+            passage_id,
+            section.section_id,
+            section.version,
+            KinematicSummary(tuple(values), NEWEST_TABLE.digest, 31.27),
+            2.35,
         ),
         Receipt(passage_id, Accepted()),
         Beacon(section.section_id, section.version, speed_mps, reason, confidence, 600.0, 1_770_000_000),

@@ -266,6 +266,14 @@ def summary_among(summary: KinematicSummary, table_digests: Collection[str]) -> 
     return None
 
 
+def older_summary(summary: KinematicSummary) -> KinematicSummary | None:
+    """Return the summary in the columns of the next older table that it can fill; None if there is none."""
+    digests = tuple(TABLES)
+    if summary.table_digest not in digests:
+        return None
+    return summary_among(summary, digests[: digests.index(summary.table_digest)])
+
+
 def statistics_of(samples: FloatArray) -> FloatArray:
     """Return the eleven statistics of a bag of samples, in the order of `STATISTICS`.
 

@@ -160,7 +160,7 @@ def test_a_manifest_of_another_format_is_refused():
         manifest_from_json(json.dumps(raw))
 
 
-MANGLED = [None, 7, [], {}, "x", [[[]]]]
+MANGLED: list[object] = [None, 7, [], {}, "x", [[[]]]]
 
 
 @pytest.mark.parametrize("key", [f.name for f in dataclasses.fields(BundleManifest)])

@@ -15,6 +15,7 @@ from roadgrip.features import (
     STATISTICS,
     TABLES,
     FeatureTable,
+    older_summary,
     road_features,
     statistics_of,
     summary_among,
@@ -115,6 +116,13 @@ def test_both_ends_agree_on_the_newest_table_they_share(wider_table):
     assert summary_among(older, both) is older
     assert summary_among(older, (wider_table.digest,)) is None
     assert summary_among(newer, ("0" * 16,)) is None
+
+
+def test_the_next_older_words_for_a_summary(wider_table):
+    newer = summary_of(wider_table)
+    assert older_summary(newer) == summary_for(newer, list(TABLES.values())[-2])
+    assert older_summary(summary_of(next(iter(TABLES.values())))) is None
+    assert older_summary(replace(newer, table_digest="0" * 16)) is None
 
 
 def test_a_summary_of_a_table_not_spoken_here_goes_as_it_is_or_not_at_all():

@@ -10,7 +10,7 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from hypothesis import strategies as st
 
 from roadgrip.errors import WireError
-from roadgrip.features import KINEMATIC_FEATURES, TABLE_DIGEST
+from roadgrip.features import PAPER_TABLE
 from roadgrip.reasons import Reason
 from roadgrip.records import (
     Accepted,
@@ -84,10 +84,10 @@ INTERVAL = FrictionInterval(
     newest_age_s=41.5,
     valid_for_s=900.0,
 )
-VALUES = tuple(float(v) for v in np.random.default_rng(7).normal(size=len(KINEMATIC_FEATURES)).astype(np.float32))
+VALUES = tuple(float(v) for v in np.random.default_rng(7).normal(size=len(PAPER_TABLE.kinematic)).astype(np.float32))
 
 ARRIVAL = Arrival(PASSAGE_ID, SECTION.section_id)
-MAP_OFFER = MapOffer(SECTION, (TABLE_DIGEST,))
+MAP_OFFER = MapOffer(SECTION, (PAPER_TABLE.digest,))
 ADVISORY = AdvisoryNotice(
     SECTION.section_id,
     SECTION.version,
@@ -98,7 +98,7 @@ PASSAGE = Passage(
     PASSAGE_ID,
     SECTION.section_id,
     SECTION.version,
-    KinematicSummary(VALUES, TABLE_DIGEST, 31.27, QualityFlag.STABILITY_ACTIVE | QualityFlag.NO_GNSS),
+    KinematicSummary(VALUES, PAPER_TABLE.digest, 31.27, QualityFlag.STABILITY_ACTIVE | QualityFlag.NO_GNSS),
     2.35,
 )
 RECEIPT = Receipt(PASSAGE_ID, Accepted(NotCounted.OUT_OF_ENVELOPE))
@@ -117,7 +117,9 @@ SAMPLES: dict[str, Message] = {
     "arrival": ARRIVAL,
     "arrival-knows-map": Arrival(PASSAGE_ID, SECTION.section_id, SECTION.version),
     "map": MAP_OFFER,
-    "map-in-pieces": MapOffer(winding_road(400, section_id="winding-road-long"), (TABLE_DIGEST, "0123456789abcdef")),
+    "map-in-pieces": MapOffer(
+        winding_road(400, section_id="winding-road-long"), (PAPER_TABLE.digest, "0123456789abcdef")
+    ),
     "advisory": ADVISORY,
     "advisory-winter-speed": AdvisoryNotice(
         SECTION.section_id,
@@ -157,7 +159,7 @@ arrivals = st.builds(Arrival, passage_ids, section_ids, st.one_of(st.just(""), d
 summaries = st.builds(
     KinematicSummary,
     values=st.lists(float32s, min_size=55, max_size=55).map(tuple),
-    table_digest=st.just(TABLE_DIGEST),
+    table_digest=st.just(PAPER_TABLE.digest),
     duration_s=seconds,
     quality=st.integers(0, int(sum(QualityFlag))).map(QualityFlag),
 )

@@ -11,7 +11,7 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat, PublicFormat
 
 from roadgrip.errors import ConfigurationError, StoreError
-from roadgrip.features import TABLE_DIGEST
+from roadgrip.features import NEWEST_TABLE
 from roadgrip.records import Advisory, AdvisoryReason, FrictionInterval
 from roadgrip.section import GnssAnchor, build_section
 from rsu_app.adapters.http.app import create_app
@@ -113,11 +113,13 @@ def test_a_unit_whose_database_cannot_be_opened_starts_and_takes_it_up_later(fol
 def test_a_refused_bundle_is_named_in_readiness(folder):
     async def scenario() -> None:
         manifest = folder / "bundle" / "manifest.json"
-        manifest.write_text(manifest.read_text(encoding="utf-8").replace(TABLE_DIGEST, "0" * 16), encoding="utf-8")
+        manifest.write_text(
+            manifest.read_text(encoding="utf-8").replace(NEWEST_TABLE.digest, "0" * 16), encoding="utf-8"
+        )
         parts = parts_of(folder)
         (check, *_) = (await parts.unit.readiness()).checks
         assert not check.ok
-        assert TABLE_DIGEST in check.detail
+        assert NEWEST_TABLE.digest in check.detail
         assert "0" * 16 in check.detail
         await parts.unit.close()
 

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from roadgrip.errors import TraceError
-from roadgrip.features import KINEMATIC_FEATURES, STATISTICS, TABLE_DIGEST
+from roadgrip.features import NEWEST_TABLE, STATISTICS
 from roadgrip.records import QualityFlag, Reason, Rejected
 from roadgrip.units import GRAVITY_MPS2
 from tests.vehicle_client.synthetic import (
@@ -48,12 +48,12 @@ def refused(outcome) -> Reason:
 
 
 def table(summary) -> dict[str, float]:
-    return dict(zip((f.name for f in KINEMATIC_FEATURES), summary.values, strict=True))
+    return dict(zip((f.name for f in NEWEST_TABLE.kinematic), summary.values, strict=True))
 
 
 def quantities(summary) -> list[float]:
     """Return the features that have a unit; the shape of a signal that is almost zero means nothing."""
-    return [v for v, f in zip(summary.values, KINEMATIC_FEATURES, strict=True) if f.unit]
+    return [v for v, f in zip(summary.values, NEWEST_TABLE.kinematic, strict=True) if f.unit]
 
 
 def signals_of(trace: Trace, section=SECTION, station_m=None, parameters=PAPER_PARAMETERS):
@@ -73,7 +73,7 @@ def signals_of(trace: Trace, section=SECTION, station_m=None, parameters=PAPER_P
 def test_a_drive_without_sideslip_is_summarised_as_one():
     result = made(summarise_passage(TRACE, SECTION, parameters=PAPER_PARAMETERS))
     values = table(result.summary)
-    assert result.summary.table_digest == TABLE_DIGEST
+    assert result.summary.table_digest == NEWEST_TABLE.digest
     assert result.summary.duration_s == pytest.approx(400.0 / 15.0, abs=0.02)
     assert values["speed_mean_mps"] == pytest.approx(15.0, abs=1e-3)
     assert values["speed_std_mps"] < 1e-3

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from roadgrip.features import TABLE_DIGEST, statistics_of
+from roadgrip.features import NEWEST_TABLE, statistics_of
 from roadgrip.records import KinematicSummary, QualityFlag
 
 if TYPE_CHECKING:
@@ -66,5 +66,5 @@ def kinematic_summary(
     )
     values = np.concatenate([statistics_of(bag[inside]) for bag in bags])
     return KinematicSummary(
-        values=tuple(values.tolist()), table_digest=TABLE_DIGEST, duration_s=duration_s, quality=quality
+        values=tuple(values.tolist()), table_digest=NEWEST_TABLE.digest, duration_s=duration_s, quality=quality
     )

@@ -19,6 +19,7 @@ from math import inf
 from typing import TYPE_CHECKING, Protocol
 
 from roadgrip.errors import WireError
+from roadgrip.features import older_summary, summary_among
 from roadgrip.frames import exchange_id_of, unread_passage_id
 from roadgrip.records import (
     VEHICLE_FRAME_BUDGET,
@@ -199,6 +200,8 @@ class Exchange:
         self._advice_due = True
         self._tables: tuple[str, ...] | None = None
         self._passage: Passage | None = None
+        self._words_sent = False
+        self._words_changed = False
         self._left_at_s = 0.0
         self._wake_at_s = inf
         self._outcome: Outcome | None = None
@@ -270,7 +273,9 @@ class Exchange:
     ) -> tuple[bytes, ...]:
         """Send a summary; if no advisory has come by now, the vehicle stops asking for one.
 
-        When the unit has said that its model serves other feature tables only, nothing is sent and the exchange ends.
+        It is told in the words of the newest feature table that both ends speak. When the unit has said that its models
+        serve other tables only, nothing is sent and the exchange ends. A vehicle that had the map, and so was not
+        told the unit's tables, begins with the newest and goes on to older ones when it is refused for that.
 
         Args:
             summary: What the pipeline made of the drive.
@@ -281,10 +286,11 @@ class Exchange:
         if self._stage in {Stage.REPORTING, Stage.ENDED}:
             message = f"a passage is reported once; this exchange is {self._stage}"
             raise ValueError(message)
-        if self._tables is not None and summary.table_digest not in self._tables:
+        spoken = summary if self._tables is None else summary_among(summary, self._tables)
+        if spoken is None:
             self._withheld = Reason.WRONG_FEATURE_TABLE
             return self._end(Ending.WITHHELD)
-        self._passage = Passage(self._passage_id, self._section_id, map_version, summary, age_s=0.0)
+        self._passage = Passage(self._passage_id, self._section_id, map_version, spoken, age_s=0.0)
         self._left_at_s = left_at_s
         self._stage = Stage.REPORTING
         return self._send(self._passage, now_s)
@@ -406,6 +412,8 @@ class Exchange:
             self._end(Ending.ACCEPTED)
             return True
         self._outcome = outcome
+        if outcome.reason is Reason.WRONG_FEATURE_TABLE and self._stage is Stage.REPORTING:
+            return self._take_other_words(now_s) or not repeated
         if not outcome.reason.may_retry:
             self._end(Ending.REJECTED)
         elif self._stage is Stage.REPORTING and not repeated:
@@ -413,6 +421,24 @@ class Exchange:
             wait_s = self._patience.wait_s(self._patience.postpone_s, tries_count=self._report_tries_count)
             self._wake_at_s = now_s + wait_s
         return not repeated
+
+    def _take_other_words(self, now_s: float) -> bool:
+        """Return whether the summary is told in older words from now on, after the unit refused its feature table.
+
+        A refusal does not say which table it means, so one that comes twice must not end the exchange: once other
+        words have been tried, what remains of the tries decides.
+        """
+        if self._passage is None or not self._words_sent:
+            return False
+        older = older_summary(self._passage.summary)
+        if older is not None:
+            self._passage = replace(self._passage, summary=older)
+            self._words_sent = False
+            self._words_changed = True
+            self._wake_at_s = now_s
+        elif not self._words_changed:
+            self._end(Ending.REJECTED)
+        return older is not None
 
     # ---------------------------------------------------------------------------------------------------- what leaves
 
@@ -433,6 +459,7 @@ class Exchange:
         frames = self._codec.frames_of(replace(passage, age_s=max(0.0, now_s - self._left_at_s)))
         if self._sent_count + len(frames) > self._budget_count:
             return self._give_up()
+        self._words_sent = True
         self._report_tries_count += 1
         self._sent_count += len(frames)
         self._wake_at_s = now_s + self._patience.wait_s(self._patience.reply_s, tries_count=self._report_tries_count)

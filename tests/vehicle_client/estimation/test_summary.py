@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from roadgrip.features import KINEMATIC_FEATURES, STATISTICS, TABLE_DIGEST
+from roadgrip.features import NEWEST_TABLE, STATISTICS
 from roadgrip.records import QualityFlag
 from vehicle_client.estimation.summary import KinematicSignals, kinematic_summary
 
@@ -33,7 +33,7 @@ def summary_of(bag, inside=None):
 
 def test_the_columns_are_the_tables_and_the_numbers_scipys():
     bag = np.random.default_rng(1).gamma(2.0, size=(5, N))
-    values = dict(zip((f.name for f in KINEMATIC_FEATURES), summary_of(bag).values, strict=True))
+    values = dict(zip((f.name for f in NEWEST_TABLE.kinematic), summary_of(bag).values, strict=True))
     speed, slip = bag[4], bag[1]
     assert values["speed_mean_mps"] == pytest.approx(np.mean(speed))
     assert values["speed_q80_mps"] == pytest.approx(np.quantile(speed, 0.8))
@@ -99,7 +99,11 @@ def test_the_record_says_what_it_was_made_for():
     summary = kinematic_summary(
         signals_of(np.ones((5, 10))), np.ones(10, dtype=bool), duration_s=3.5, quality=QualityFlag.NO_GNSS
     )
-    assert (summary.table_digest, summary.duration_s, summary.quality) == (TABLE_DIGEST, 3.5, QualityFlag.NO_GNSS)
+    assert (summary.table_digest, summary.duration_s, summary.quality) == (
+        NEWEST_TABLE.digest,
+        3.5,
+        QualityFlag.NO_GNSS,
+    )
 
 
 def test_an_empty_bag_is_refused():

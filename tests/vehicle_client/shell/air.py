@@ -11,7 +11,7 @@ from itertools import count
 import numpy as np
 
 from roadgrip.errors import WireError
-from roadgrip.features import KINEMATIC_FEATURES, TABLE_DIGEST
+from roadgrip.features import NEWEST_TABLE
 from roadgrip.records import (
     Accepted,
     Advisory,
@@ -48,7 +48,9 @@ ADVICE = Advisory(
     valid_for_s=600.0,
 )
 SUMMARY = KinematicSummary(
-    values=tuple(0.01 * i for i in range(len(KINEMATIC_FEATURES))), table_digest=TABLE_DIGEST, duration_s=31.0
+    values=tuple(0.01 * i for i in range(len(NEWEST_TABLE.kinematic))),
+    table_digest=NEWEST_TABLE.digest,
+    duration_s=31.0,
 )
 
 
@@ -113,7 +115,7 @@ class Unit:
         replies: list[Message] = []
         if isinstance(message, Arrival):
             if message.known_map_version != self.section.version:
-                replies.append(MapOffer(self.section, (TABLE_DIGEST,)))
+                replies.append(MapOffer(self.section, (NEWEST_TABLE.digest,)))
             replies.append(AdvisoryNotice(self.section.section_id, self.section.version, self.advice, issued_unix_s=0))
         if isinstance(message, Passage):
             outcome = self.stored.get(message.passage_id)

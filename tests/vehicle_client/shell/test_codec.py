@@ -7,7 +7,7 @@ import pytest
 
 from roadgrip.errors import WireError
 from roadgrip.exchange import FROM_VEHICLE, message_of
-from roadgrip.features import TABLE_DIGEST
+from roadgrip.features import NEWEST_TABLE
 from roadgrip.frames import Complete, exchange_id_of, parse_frame, section_key_of, split_into_frames
 from roadgrip.records import Accepted, AdvisoryNotice, Arrival, MapOffer, Message, Passage, Reason, Receipt
 from roadgrip.section import build_section
@@ -50,7 +50,7 @@ def a_large_map() -> MapOffer:
         nodes_m=np.column_stack([along_m, 50.0 * np.sin(along_m / 90.0), 3.0 * np.sin(along_m / 70.0)]),
         speed_limit_mps=20.0,
     )
-    return MapOffer(road, (TABLE_DIGEST,))
+    return MapOffer(road, (NEWEST_TABLE.digest,))
 
 
 def test_a_map_of_several_frames_comes_together_in_any_order():
@@ -96,7 +96,7 @@ def test_an_exchange_speaks_the_wire_format():
     assert as_unit(exchange.begin(now_s=0.0)) == Arrival(PASSAGE_ID, "bend")
     for message in (
         AdvisoryNotice("bend", BEND.version, ADVICE, issued_unix_s=0),
-        MapOffer(BEND, (TABLE_DIGEST,)),
+        MapOffer(BEND, (NEWEST_TABLE.digest,)),
     ):
         for frame in from_unit(message):
             exchange.receive(frame, now_s=0.1)

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 
 from deploy.demo.unit import UnitProcess, migrate, write_config
 from roadgrip.errors import ConfigurationError
-from roadgrip.features import KINEMATIC_FEATURES
+from roadgrip.features import NEWEST_TABLE
 from roadgrip.section_file import section_to_json
 from roadgrip.sections import read_section
 from vehicle_client.__main__ import main
@@ -84,7 +84,7 @@ def test_a_drive_is_drawn_kept_and_replayed(tmp_path: Path):
     assert code == 0
     # A fix is kept in the row nearest to it, so the match may move by a fraction of a sample.
     replayed = json.loads(out)["passage"]
-    assert list(replayed["values"]) == [f.name for f in KINEMATIC_FEATURES]
+    assert list(replayed["values"]) == [f.name for f in NEWEST_TABLE.kinematic]
     assert replayed["values"] == pytest.approx(driven["passage"]["values"], rel=0.05, abs=0.02)
 
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roadgrip.features import TABLE_DIGEST
+from roadgrip.features import NEWEST_TABLE
 from roadgrip.records import (
     VEHICLE_FRAME_BUDGET,
     Accepted,
@@ -107,7 +107,7 @@ def test_a_vehicle_drives_once_it_has_map_and_advisory_whichever_comes_first(map
     exchange = an_exchange(ether := Ether())
     exchange.begin(now_s=0.0)
     answers: list[Message] = [
-        MapOffer(BEND, (TABLE_DIGEST,)),
+        MapOffer(BEND, (NEWEST_TABLE.digest,)),
         AdvisoryNotice("bend", BEND.version, ADVICE, issued_unix_s=0),
     ]
     stages = []
@@ -132,7 +132,7 @@ def test_map_and_advice_that_come_after_the_summary_change_nothing():
     exchange = an_exchange(ether := Ether(), known=BEND)
     exchange.report(SUMMARY, map_version=BEND.version, left_at_s=0.0, now_s=0.0)
     newer = bend(speed_limit_mps=22.0)
-    hear(exchange, ether, MapOffer(newer, (TABLE_DIGEST,)), now_s=0.1)
+    hear(exchange, ether, MapOffer(newer, (NEWEST_TABLE.digest,)), now_s=0.1)
     hear(exchange, ether, AdvisoryNotice("bend", newer.version, ADVICE, issued_unix_s=0), now_s=0.1)
     assert (exchange.section, exchange.advisory) == (BEND, None)
     assert exchange.record().messages_ignored_count == 2
@@ -253,7 +253,7 @@ def test_what_is_meant_for_somebody_else_changes_nothing():
     exchange = an_exchange(ether)
     exchange.begin(now_s=0.0)
     foreign: list[Message] = [
-        MapOffer(bend("elsewhere"), (TABLE_DIGEST,)),
+        MapOffer(bend("elsewhere"), (NEWEST_TABLE.digest,)),
         AdvisoryNotice("elsewhere", BEND.version, ADVICE, issued_unix_s=0),
         Receipt(bytes(16), Accepted()),
         Receipt(PASSAGE_ID, Accepted()),  # nothing was reported yet

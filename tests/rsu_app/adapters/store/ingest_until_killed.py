@@ -8,7 +8,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-from roadgrip.features import KINEMATIC_FEATURES
+from roadgrip.features import NEWEST_TABLE
 from roadgrip.records import Accepted, Passage
 from rsu_app.adapters.clocks import SystemClock
 from rsu_app.adapters.store import open_store
@@ -18,7 +18,7 @@ from tests.rsu_app.fakes import FakeModel, make_passage, make_section
 SENDERS_COUNT = 200
 SECTION = make_section()
 TEMPLATE = make_passage(SECTION)
-KURTOSIS = [f.name for f in KINEMATIC_FEATURES].index("steer_kurtosis")
+KURTOSIS = [f.name for f in NEWEST_TABLE.kinematic].index("steer_kurtosis")
 
 
 def numbered_passage(number: int) -> Passage:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from roadgrip.features import TABLE_DIGEST
+from roadgrip.features import NEWEST_TABLE
 from roadgrip.frames import exchange_id_of, parse_frame, section_key_of, split_into_frames
 from roadgrip.protocol import Kind
 from roadgrip.records import VEHICLE_FRAME_BUDGET, Accepted, AdvisoryNotice, MapOffer, Message, Receipt
@@ -42,7 +42,7 @@ def right_answers(data: bytes) -> list[bytes]:
     if frame.kind is not Kind.ARRIVAL:
         return []
     notice = AdvisoryNotice(ROAD.section_id, ROAD.version, ADVICE, issued_unix_s=0)
-    messages: list[Message] = [MapOffer(ROAD, (TABLE_DIGEST,)), notice]
+    messages: list[Message] = [MapOffer(ROAD, (NEWEST_TABLE.digest,)), notice]
     return [f for m in messages for f in frames_about(m, frame.exchange_id, section_id=ROAD.section_id)]
 
 
@@ -79,7 +79,7 @@ def elsewhere(data: bytes, send: Sends) -> None:
     exchange_id = parse_frame(data).exchange_id
     another_id = bytes(16)
     notice = AdvisoryNotice(BEND.section_id, BEND.version, ADVICE, issued_unix_s=0)
-    messages: list[Message] = [MapOffer(BEND, (TABLE_DIGEST,)), notice, Receipt(another_id, Accepted())]
+    messages: list[Message] = [MapOffer(BEND, (NEWEST_TABLE.digest,)), notice, Receipt(another_id, Accepted())]
     for message in messages:
         for heading in (BEND.section_id, ROAD.section_id):
             for frame in frames_about(message, exchange_id, section_id=heading):

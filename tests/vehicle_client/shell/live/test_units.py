@@ -8,7 +8,7 @@ import pytest
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from roadgrip.errors import ConfigurationError, WireError
-from roadgrip.features import TABLE_DIGEST
+from roadgrip.features import NEWEST_TABLE
 from roadgrip.frames import section_key_of, split_into_frames
 from roadgrip.reasons import Reason
 from roadgrip.records import AdvisoryNotice, AdvisoryReason, Beacon, Confidence, MapOffer, Message
@@ -68,7 +68,9 @@ def test_advice_that_a_detector_asked_for_tells_as_much():
 
 
 def test_a_map_that_a_detector_asked_for_is_passed_over():
-    assert heard_in(datagram(MapOffer(BEND, (TABLE_DIGEST,))), UNIT, verifier=None, wall_clock_s=NOW_UNIX_S) is None
+    assert (
+        heard_in(datagram(MapOffer(BEND, (NEWEST_TABLE.digest,))), UNIT, verifier=None, wall_clock_s=NOW_UNIX_S) is None
+    )
 
 
 @pytest.mark.parametrize("later_s", [61.0, -61.0, 86_400.0])
