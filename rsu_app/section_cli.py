@@ -17,8 +17,8 @@ from roadgrip.protocol import HEADER_BYTES
 from roadgrip.section import BANK_CAP_RATIO, Direction, RoadSection
 from roadgrip.section_file import section_to_json
 from roadgrip.sections import packaged_names, read_section
+from roadgrip.survey_fit import FitReport, ImportRequest, section_of_survey
 from roadgrip.units import mps_to_kph
-from rsu_app.road_import.fit import FitReport, ImportRequest, section_of_survey
 from rsu_app.road_import.reading import BYTES_LIMIT, RoadFormat, survey_of_bytes
 from rsu_app.section_report import curvature_sketch, curves_of, map_message_problem, plan_sketch, section_figures
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import Any
 
-from rsu_app.road_import.survey import PIECES_LIMIT_COUNT, POINTS_LIMIT_COUNT, SurveyLine, joined, refusal, survey_line
+from roadgrip.survey import PIECES_LIMIT_COUNT, POINTS_LIMIT_COUNT, SurveyLine, joined, refusal, survey_line
 
 WGS84 = "EPSG:4326"
 

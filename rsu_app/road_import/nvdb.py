@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from rsu_app.road_import.survey import PIECES_LIMIT_COUNT, SurveyLine, joined, refusal
+from roadgrip.survey import PIECES_LIMIT_COUNT, SurveyLine, joined, refusal
 from rsu_app.road_import.wkt import survey_of_wkt
 
 _UTM33_WITH_HEIGHTS = "EPSG:5973"

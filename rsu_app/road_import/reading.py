@@ -6,9 +6,9 @@ import json
 from enum import StrEnum
 from typing import Any, NoReturn
 
+from roadgrip.survey import SurveyLine, refusal
 from rsu_app.road_import.geojson import survey_of_geojson
 from rsu_app.road_import.nvdb import looks_like_nvdb, survey_of_nvdb
-from rsu_app.road_import.survey import SurveyLine, refusal
 from rsu_app.road_import.table import survey_of_csv
 from rsu_app.road_import.wkt import survey_of_wkt
 

@@ -12,7 +12,7 @@ import csv
 import math
 import re
 
-from rsu_app.road_import.survey import POINTS_LIMIT_COUNT, SurveyLine, refusal, survey_line
+from roadgrip.survey import POINTS_LIMIT_COUNT, SurveyLine, refusal, survey_line
 
 HEIGHT_COLUMNS = ("height", "height_m", "z_m")
 _FIELD_LIMIT_CHARS = 200

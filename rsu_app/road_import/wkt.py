@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from rsu_app.road_import.survey import POINTS_LIMIT_COUNT, SurveyLine, joined, refusal, survey_line
+from roadgrip.survey import POINTS_LIMIT_COUNT, SurveyLine, joined, refusal, survey_line
 
 _HEAD = re.compile(
     r"\s*(?:SRID\s*=\s*(?P<srid>\d{1,6})\s*;)?\s*(?P<multi>MULTI)?LINESTRING\s*(?P<axes>ZM|Z|M)?\s*(?P<body>\(.*\))\s*;?\s*",

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from pyproj import Transformer
 
 from roadgrip.errors import SectionError
+from roadgrip.survey import reversed_survey, survey_line
 from rsu_app.road_import.reading import BYTES_LIMIT, RoadFormat, survey_of_bytes
-from rsu_app.road_import.survey import reversed_survey, survey_line
 from tests.rsu_app.road_import.surveys import ROADS, arc_points, csv_of, needs_roads, wkt_of
 
 POINTS = arc_points()

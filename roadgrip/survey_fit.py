@@ -32,8 +32,8 @@ from roadgrip.section import (
     inferred_bank_ratio,
 )
 from roadgrip.spline import evaluate, second_derivatives
+from roadgrip.survey import SurveyLine, refusal, reversed_survey
 from roadgrip.units import kph_to_mps
-from rsu_app.road_import.survey import SurveyLine, refusal, reversed_survey
 
 if TYPE_CHECKING:
     from roadgrip.units import FloatArray
@@ -166,6 +166,21 @@ def section_of_survey(survey: SurveyLine, request: ImportRequest) -> tuple[RoadS
     return section, report
 
 
+def surveyed_curvature(line: SurveyLine) -> tuple[FloatArray, FloatArray]:
+    """Return stations about every metre along a whole surveyed line, and its curvature there, left positive. Each (n,)
+
+    Smoothed as `section_of_survey` does where it is not told otherwise, so that a section cut between two of these
+    stations has this curvature.
+
+    Raises:
+        SectionError: The line is no road.
+    """
+    vertices = line.points_m - np.round(line.points_m[0], 3)
+    grid, _, columns = _even_grid(line, vertices)
+    sigma_m = _default_smoothing_m(float(grid[-1]) / (len(vertices) - 1))
+    return grid, _curvature(_smoothed(columns, step_m=grid[1], sigma_m=sigma_m))
+
+
 def _speed_limit_kph(survey: SurveyLine, request: ImportRequest) -> float:
     if request.speed_limit_kph is not None:
         if not 3.6 <= request.speed_limit_kph <= 216.0:
@@ -186,11 +201,15 @@ def _speed_limit_kph(survey: SurveyLine, request: ImportRequest) -> float:
 
 def _smoothing_m(request: ImportRequest, *, spacing_m: float) -> float:
     if request.smoothing_m is None:
-        low, high = SMOOTHING_DEFAULTS_M
-        return min(max(1.5 * spacing_m, low), high)
+        return _default_smoothing_m(spacing_m)
     if not 0.0 <= request.smoothing_m <= SMOOTHING_LIMIT_M:
         raise refusal(f"smoothing of {request.smoothing_m} m; 0 to {SMOOTHING_LIMIT_M:.0f} m are possible")
     return request.smoothing_m
+
+
+def _default_smoothing_m(spacing_m: float) -> float:
+    low, high = SMOOTHING_DEFAULTS_M
+    return min(max(1.5 * spacing_m, low), high)
 
 
 def _smoothed(columns: FloatArray, *, step_m: float, sigma_m: float) -> FloatArray:

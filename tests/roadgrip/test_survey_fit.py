@@ -7,9 +7,9 @@ from roadgrip.errors import SectionError
 from roadgrip.geodesy import frame_of
 from roadgrip.section import BankOrigin, Direction, inferred_bank_ratio
 from roadgrip.section_file import section_from_json, section_to_json
-from rsu_app.road_import.fit import ImportRequest, section_of_survey
+from roadgrip.survey import survey_line
+from roadgrip.survey_fit import ImportRequest, section_of_survey
 from rsu_app.road_import.reading import survey_of_bytes
-from rsu_app.road_import.survey import survey_line
 from tests.rsu_app.road_import.surveys import ROADS, arc_points, needs_roads, ringebu_reference, ringebu_vertices
 
 RINGEBU = ("long_turn_ringebu", "s_turn_ringebu_a", "sharp_turn_ringebu")
