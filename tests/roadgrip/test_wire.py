@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 
 from roadgrip.errors import WireError
-from roadgrip.features import TABLE_DIGEST, road_features
+from roadgrip.features import PAPER_TABLE, road_features
 from roadgrip.protocol import (
     ADVISORY_REASON_CODES,
     BANK_ORIGIN_CODES,
@@ -172,7 +172,7 @@ def long_road(nodes_count: int) -> MapOffer:
     anchors = [
         dataclasses.replace(section.anchors[0], station_m=100.0 * i) for i in range(int(section.length_m / 100) + 1)
     ]
-    return MapOffer(dataclasses.replace(section, anchors=tuple(anchors)), (TABLE_DIGEST,))
+    return MapOffer(dataclasses.replace(section, anchors=tuple(anchors)), (PAPER_TABLE.digest,))
 
 
 def test_a_map_of_eight_kilometres_fits_six_frames_signed():
@@ -366,7 +366,7 @@ def with_summary(**changes: Any) -> Passage:
         (dataclasses.replace(BEACON, speed_mps=-1.0), Reason.OUT_OF_RANGE),
         (dataclasses.replace(ADVISORY, issued_unix_s=-5), Reason.OUT_OF_RANGE),
         (dataclasses.replace(MAP_OFFER, table_digests=()), Reason.OUT_OF_RANGE),
-        (dataclasses.replace(MAP_OFFER, table_digests=(TABLE_DIGEST,) * 9), Reason.OUT_OF_RANGE),
+        (dataclasses.replace(MAP_OFFER, table_digests=(PAPER_TABLE.digest,) * 9), Reason.OUT_OF_RANGE),
     ],
 )
 def test_what_no_receiver_would_read_is_not_encoded(message, reason):
@@ -379,14 +379,14 @@ def test_a_section_that_was_not_built_by_the_rules_is_not_encoded():
     nodes_m = np.array([[0.0, 0.0, 0.0], [40.0, 0.0, 0.0], [80.0, 0.0, 0.0], [120.0, 0.0, 0.0]])
     section = dataclasses.replace(SECTION, nodes_m=nodes_m)
     with pytest.raises(WireError) as caught:
-        encode_message(MapOffer(section, (TABLE_DIGEST,)))
+        encode_message(MapOffer(section, (PAPER_TABLE.digest,)))
     assert caught.value.reason is Reason.OUT_OF_RANGE
 
 
 def test_a_section_far_from_its_origin_keeps_its_place():
     nodes_m = SECTION.nodes_m + np.array([15_000.123, -9_000.0, 77.7])
     section = build_section(section_id="far", name="", nodes_m=nodes_m, speed_limit_mps=20.0)
-    assert np.array_equal(rounded_to_wire(MapOffer(section, (TABLE_DIGEST,))).section.nodes_m, section.nodes_m)
+    assert np.array_equal(rounded_to_wire(MapOffer(section, (PAPER_TABLE.digest,))).section.nodes_m, section.nodes_m)
 
 
 # The tables of codes.
