@@ -146,6 +146,8 @@ def index_page(findings: Mapping[Part, Sequence[Finding]], summary: Mapping[str,
     if summary["defects"]:
         parts += ["## Not as it should be", "\n".join(f"- {line}" for line in summary["defects"])]
     for part, chapters in findings.items():
+        if not chapters:
+            continue
         lines = ["| chapter | the paper's claim | |", "|---|---|---|"]
         lines += [
             f"| [{_in_cell(finding.chapter.title)}]({finding.chapter.name}/{INDEX_FILE_NAME}) | {_claim(finding)} | "
@@ -197,7 +199,7 @@ def _first_sentence(finding: Finding) -> str:
 
 
 def _in_cell(text: str) -> str:
-    return " ".join(text.split()).replace("|", "\\|")
+    return " ".join(text.split()).replace("|", "\\|").replace("<", "&lt;")
 
 
 def _json(document: Mapping[str, Any]) -> str:

@@ -7,14 +7,18 @@ from io import BytesIO
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis as DrawnAxis
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogFormatter
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from training.report.colours import GREY, palette_colour
 from training.study.picture import Axis, Bars, Boxes, Cloud, Line, Lines, Picture, Scatter
 
 MOST_POINTS_COUNT = 2000
-"""A scatter has no more, or its file is megabytes."""
+"""A scatter has no more: nobody sees more."""
+MOST_DRAWN_POINTS_COUNT = 200
+"""A cloud of more is an image inside the file, which is ten times smaller than as many circles."""
+_DOTS_PER_INCH = 130
 _MOST_UPRIGHT_LETTERS_COUNT = 60
 _STYLE = {
     "svg.fonttype": "none",
@@ -54,7 +58,7 @@ def svg_of(picture: Picture) -> bytes:
         if len(axes.get_legend_handles_labels()[1]) > 1:
             axes.legend(frameon=False, fontsize=8.0)
         file = BytesIO()
-        figure.savefig(file, format="svg", metadata={"Date": None})
+        figure.savefig(file, format="svg", dpi=_DOTS_PER_INCH, metadata={"Date": None})
     return file.getvalue()
 
 
@@ -83,10 +87,10 @@ def _draw_scatter(axes: Axes, picture: Scatter) -> None:
     for i, cloud in enumerate(picture.clouds):
         share = max(1, MOST_POINTS_COUNT * len(cloud.x) // max(points_count, MOST_POINTS_COUNT))
         shown = thinned(cloud, most_count=share)
-        axes.plot(
-            shown.x, shown.y, "o", color=palette_colour(i), markersize=2.5, alpha=0.5, markeredgewidth=0.0,
-            label=cloud.name,
-        )  # fmt: skip
+        colour, many = palette_colour(i), len(shown.x) > MOST_DRAWN_POINTS_COUNT
+        axes.plot(shown.x, shown.y, "o", color=colour, markersize=2.5, alpha=0.5, markeredgewidth=0.0, rasterized=many)
+        # An empty cloud for the legend: it stays sharp, and can be seen.
+        axes.plot([], [], "o", color=colour, markersize=4.0, markeredgewidth=0.0, label=cloud.name)
 
 
 def _draw_boxes(axes: Axes, picture: Boxes) -> None:
@@ -136,7 +140,7 @@ def _set(axes: Axes, x_axis: Axis, y_axis: Axis) -> None:
     axes.set_xlabel(x_axis.title)
     if x_axis.logarithmic:
         axes.set_xscale("log")
-        axes.xaxis.set_major_formatter(LogFormatter())
+        _number_plainly(axes.xaxis)
     if x_axis.low is not None or x_axis.high is not None:
         axes.set_xlim(x_axis.low, x_axis.high)
     _set_ordinate(axes, y_axis)
@@ -146,6 +150,13 @@ def _set_ordinate(axes: Axes, y_axis: Axis) -> None:
     axes.set_ylabel(y_axis.title)
     if y_axis.logarithmic:
         axes.set_yscale("log")
-        axes.yaxis.set_major_formatter(LogFormatter())
+        _number_plainly(axes.yaxis)
     if y_axis.low is not None or y_axis.high is not None:
         axes.set_ylim(y_axis.low, y_axis.high)
+
+
+def _number_plainly(axis: DrawnAxis) -> None:
+    """Number a logarithmic axis 1, 2, 5, 10 and so on, without exponents."""
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.set_major_formatter("{x:g}")
+    axis.set_minor_formatter(NullFormatter())

@@ -56,8 +56,18 @@ def fake_result(*, mape: float = 0.02) -> Result:
                 Axis("%", low=0.0),
                 (Line("a", x, y, low=y, high=y), Line("b", x, x)),
             ),
-            Boxes("Boxes", "road", Axis("%"), (Box("s", "one", (1, 2, 3, 4, 5)), Box("s", "two", (1, 2, 3, 4, 6)))),
-            Scatter("Points", Axis("x"), Axis("y"), (Cloud("all", tuple(np.linspace(0.1, 1.0, 5000)), (0.5,) * 5000),)),
+            Boxes(
+                "Boxes",
+                "road",
+                Axis("%"),
+                (Box("s", "one", (1.0, 2.0, 3.0, 4.0, 5.0)), Box("s", "two", (1.0, 2.0, 3.0, 4.0, 6.0))),
+            ),
+            Scatter(
+                "Points",
+                Axis("x"),
+                Axis("y"),
+                (Cloud("all", tuple(np.linspace(0.1, 1.0, 5000).tolist()), (0.5,) * 5000),),
+            ),
             Bars("Bars </script>", "bin", Axis("count"), ("a", "b"), (("one", (1.0, 2.0)), ("two", (2.0, 1.0)))),
         ),
     )

@@ -1,0 +1,35 @@
+"""Pictures as SVG: all kinds, small, and the same every time."""
+
+import pytest
+
+from tests.training.study.fake_chapters import fake_result
+from training.report.svg_picture import MOST_POINTS_COUNT, svg_of, thinned
+from training.study.picture import Axis, Bars, Cloud, Scatter
+
+PICTURES = {type(picture).__name__: picture for picture in fake_result().pictures}
+
+
+@pytest.mark.parametrize("kind", PICTURES)
+def test_a_picture_is_the_same_byte_for_byte_and_small(kind):
+    first, again = svg_of(PICTURES[kind]), svg_of(PICTURES[kind])
+    assert first == again
+    assert first.startswith(b"<?xml")
+    assert PICTURES[kind].title.split()[0].encode() in first
+    assert len(first) < 60_000
+
+
+def test_clouds_share_the_points_that_are_shown():
+    clouds = tuple(Cloud(name, tuple(map(float, range(9000))), (1.0,) * 9000) for name in "ab")
+    assert len(svg_of(Scatter("s", Axis("x"), Axis("y"), clouds))) < 60_000
+
+
+def test_a_thinned_cloud_keeps_its_ends():
+    cloud = Cloud("c", tuple(map(float, range(9000))), tuple(map(float, range(9000))))
+    shown = thinned(cloud, most_count=MOST_POINTS_COUNT)
+    assert len(shown.x) == len(shown.y) == MOST_POINTS_COUNT
+    assert (shown.x[0], shown.x[-1]) == (0.0, 8999.0)
+    assert thinned(shown, most_count=MOST_POINTS_COUNT) is shown
+
+
+def test_a_picture_of_nothing_is_drawn_nevertheless():
+    assert svg_of(Bars("none", "bin", Axis("count"), (), ())).startswith(b"<?xml")
