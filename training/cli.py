@@ -11,6 +11,7 @@ Four steps (simulate, fit, export, bundle), each leaving its result on disk, or 
 
     roadgrip-train default-bundle                     remake the bundle that comes with roadgrip
     roadgrip-train tune-observer                      fit the onboard estimation to a vehicle
+    roadgrip-train study paper                        the paper's every result, and `study generalise` past it
     roadgrip-train evaluate --traces drives           say what a bundle makes of anybody's recorded drives
 """
 
@@ -50,6 +51,7 @@ from training.cli_designs import (
     title_of,
 )
 from training.cli_evaluate import evaluate
+from training.cli_study import study_app
 from training.cli_tune import tune_observer
 from training.dataset import Runs, read_runs
 from training.designs import Size, named_design
@@ -102,6 +104,7 @@ app.command()(simulate)
 app.command()(designs)
 app.command()(cells)
 app.command()(tune_observer)
+app.add_typer(study_app)
 app.command()(evaluate)
 
 
