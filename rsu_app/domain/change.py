@@ -8,8 +8,8 @@ A drop is believed after some six vehicles. A rise needs twice the evidence: bei
 wrong with it costs grip.
 
 What the detector says is a function of the entries alone, in the order of their times. So late reports and restored
-windows need no thought: the fold is done again over what the window holds. It forgets with the window, too: once no
-vehicle from before a change is left, there is no change to be seen, and nothing to cut.
+windows need no thought: the fold is done again over what is held. It forgets with them, too: once no vehicle from
+before a change is left, there is no change to be seen, and nothing to cut.
 """
 
 from __future__ import annotations
@@ -162,33 +162,29 @@ def changes(left_at_s: FloatArray, mu: FloatArray, *, policy: ChangePolicy) -> t
     return tuple(found)
 
 
-def kept_since_s(left_at_s: FloatArray, change: Change, *, policy: ChangePolicy) -> float:
-    """Return from when on entries count after a change: from the change, or earlier to keep as many as must be.
-
-    Args:
-        left_at_s: When the vehicles left the section, all of the window, at least one. (n,)
-        change: The latest change.
-        policy: How many are kept whatever the change.
-    """
-    newest = np.sort(left_at_s)[-policy.kept_count :]
-    return min(change.since_s, float(newest[0]))
-
-
-def mu_since_change(left_at_s: FloatArray, mu: FloatArray, *, policy: ChangePolicy) -> FloatArray:
+def mu_since_change(
+    left_at_s: FloatArray, mu: FloatArray, *, policy: ChangePolicy, counted_from_s: float = -inf
+) -> FloatArray:
     """Return the estimates that count when the window is cut at its latest change, ascending: all without a change.
 
-    Made for `rsu_app.domain.interval.friction_interval`, which takes the place of the window's estimates by them; the
-    newest vehicle is the same, so its age is too.
+    Made for `rsu_app.domain.interval.friction_interval`, where they take the place of the window's estimates; the
+    newest vehicle is the same, so its age is too. The newest `kept_count` of the window stay in any case.
+
+    Few vehicles an hour tell of no change within an hour. So the entries may go back farther than the window does:
+    then the detector knows what was found before, and what is older than `counted_from_s` still does not count.
 
     Args:
         left_at_s: When the vehicles left the section. (n,)
         mu: Their estimates. (n,)
         policy: When the road is held to have changed.
+        counted_from_s: When the window begins.
     """
     found = changes(left_at_s, mu, policy=policy)
-    if not found:
-        return np.sort(mu)
-    return np.sort(mu[left_at_s >= kept_since_s(left_at_s, found[-1], policy=policy)])
+    counted = left_at_s >= counted_from_s
+    if found and counted.any():
+        newest = np.sort(left_at_s[counted])[-policy.kept_count :]
+        counted &= left_at_s >= min(found[-1].since_s, float(newest[0]))
+    return np.sort(mu[counted])
 
 
 def _added(evidence: Evidence, deviation: float, at_s: float, policy: ChangePolicy) -> Evidence:

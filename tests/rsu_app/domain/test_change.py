@@ -117,6 +117,24 @@ def test_the_newest_ten_stay_whatever_the_change(rng):
     assert np.median(since) < 0.5 * 0.5
 
 
+def test_few_vehicles_an_hour_need_a_longer_memory(rng):
+    left_at_s, mu = dropped(rng, before_count=30, after_count=8)
+    left_at_s = 4.0 * left_at_s  # fifteen an hour
+    counted_from_s = left_at_s[-1] - 3600.0
+    hour = left_at_s >= counted_from_s
+    assert len(mu_since_change(left_at_s[hour], mu[hour], policy=POLICY)) == np.count_nonzero(hour)
+    since = mu_since_change(left_at_s, mu, policy=POLICY, counted_from_s=counted_from_s)
+    assert since.tolist() == sorted(mu[-10:])
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(0.0, 8000.0))
+def test_what_is_older_than_the_window_never_counts(seed, counted_from_s):
+    left_at_s, mu = dropped(np.random.default_rng(seed))
+    since = mu_since_change(left_at_s, mu, policy=POLICY, counted_from_s=counted_from_s)
+    assert set(since.tolist()) <= set(mu[left_at_s >= counted_from_s].tolist())
+    assert len(since) >= min(10, int(np.count_nonzero(left_at_s >= counted_from_s)))
+
+
 def test_the_latest_of_two_changes_counts(rng):
     mu = np.concatenate([traffic(rng, 60, 0.6), traffic(rng, 40, 0.3), traffic(rng, 40, 0.6)])
     left_at_s = minutes(len(mu)) / 3.0
