@@ -8,7 +8,7 @@ from math import isfinite
 
 import numpy as np
 
-from roadgrip.features import FEATURES, KINEMATIC_FEATURES, road_features
+from roadgrip.features import NEWEST_TABLE, road_features
 from roadgrip.records import Rejected
 from roadgrip.section import RoadSection
 from roadgrip.units import SAMPLE_S, BoolArray, FloatArray
@@ -89,7 +89,7 @@ def rows_of(scenario: Scenario, runs: Sequence[Run], drives: Sequence[Drive], *,
         outcomes.append(outcome)
     labels = [_labels(scenario.section, run, drive) for run, drive in zip(runs, drives, strict=True)]
     return Runs(
-        features=np.array(rows).reshape(-1, len(FEATURES)),
+        features=np.array(rows).reshape(-1, len(NEWEST_TABLE)),
         labels={name: np.array([one[name] for one in labels]) for name in LABEL_COLUMNS},
         scenario=(scenario.name,) * len(rows),
         section_id=(scenario.section.section_id,) * len(rows),
@@ -124,7 +124,7 @@ def _labels(section: RoadSection, run: Run, drive: Drive) -> dict[str, float]:
 
 
 def _summarised(run: Run, drive: Drive, road_map: RoadSection) -> tuple[FloatArray, str]:
-    nothing = np.full(len(KINEMATIC_FEATURES), np.nan)
+    nothing = np.full(len(NEWEST_TABLE.kinematic), np.nan)
     if not drive.completed:
         return nothing, drive.outcome.value
     result = summarise_passage(drive.trace, road_map, vehicle=run.geometry)

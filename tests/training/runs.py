@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from roadgrip.features import FEATURES
+from roadgrip.features import NEWEST_TABLE, FeatureTable
 from training.dataset import COMPLETED, LABEL_COLUMNS, Runs
 
 
-def made_up_runs(count: int, *, seed: int = 0) -> Runs:
+def made_up_runs(count: int, *, seed: int = 0, table: FeatureTable = NEWEST_TABLE) -> Runs:
     """Return runs with a smooth law behind them and every tenth one failed."""
     rng = np.random.default_rng(seed)
-    features = rng.normal(0.0, 0.1, (count, len(FEATURES)))
+    features = rng.normal(0.0, 0.1, (count, len(table)))
     label_mu = 0.45 + 0.2 * np.tanh(5.0 * features[:, 0] + 3.0 * features[:, 44])
     failed = np.arange(count) % 10 == 9
     features[failed] = np.nan
@@ -23,6 +23,7 @@ def made_up_runs(count: int, *, seed: int = 0) -> Runs:
         section_id=tuple("abc"[i % 3] for i in range(count)),
         outcome=tuple("left_road" if failed[i] else COMPLETED for i in range(count)),
         run_key=tuple(f"made-up/{i:05d}" for i in range(count)),
+        table=table,
     )
 
 

@@ -9,8 +9,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from roadgrip.errors import FeatureTableError
+from roadgrip.features import PAPER_TABLE, FeatureTable
 from tests.training.runs import made_up_runs, shuffled
-from training.dataset import DatasetError, read_description, read_runs, write_runs
+from training.dataset import DatasetError, Runs, joined, read_description, read_runs, write_runs
 
 
 def test_runs_come_back_from_parquet_as_they_were_written(tmp_path: Path) -> None:
@@ -48,7 +49,7 @@ def test_digest_sees_one_changed_number_label_or_outcome() -> None:
 def test_a_run_without_a_label_or_with_a_hole_in_its_features_is_not_usable() -> None:
     runs = made_up_runs(40)
     runs.labels["label_mu"][0] = np.nan
-    runs.features[1, 77] = np.nan
+    runs.features[1, -1] = np.nan
     assert np.flatnonzero(~runs.usable).tolist() == [0, 1, 9, 19, 29, 39]
 
 
@@ -104,3 +105,52 @@ def test_a_table_made_for_other_features_is_refused_with_both_digests(tmp_path: 
     pq.write_table(table, path)
     with pytest.raises(FeatureTableError, match="0123456789abcdef"):
         read_runs(path)
+
+
+def test_runs_of_every_table_come_back_with_their_own_columns(tmp_path: Path, wider_table: FeatureTable) -> None:
+    for table in (PAPER_TABLE, wider_table):
+        runs = made_up_runs(30, table=table)
+        write_runs(runs, tmp_path / "a.parquet", description={})
+        again = read_runs(tmp_path / "a.parquet")
+        assert again.table == table
+        assert again.digest() == runs.digest()
+        assert read_description(tmp_path / "a.parquet")["table_digest"] == table.digest
+
+
+def test_files_of_different_tables_are_no_one_data_set(tmp_path: Path, wider_table: FeatureTable) -> None:
+    write_runs(made_up_runs(30, table=PAPER_TABLE), tmp_path / "0.parquet", description={})
+    write_runs(made_up_runs(30, table=wider_table), tmp_path / "1.parquet", description={})
+    with pytest.raises(FeatureTableError, match=f"{wider_table.digest}"):
+        read_runs(tmp_path)
+
+
+def test_runs_of_a_newer_table_hold_those_of_the_older_one(wider_table: FeatureTable) -> None:
+    runs = made_up_runs(30, table=wider_table)
+    older = runs.for_table(PAPER_TABLE)
+    assert older.table == PAPER_TABLE
+    assert np.array_equal(older.features[:, :55], runs.features[:, :55], equal_nan=True)
+    assert np.array_equal(older.features[:, 55:], runs.features[:, len(wider_table.kinematic) :], equal_nan=True)
+    assert older.run_key == runs.run_key
+    assert older.for_table(PAPER_TABLE) is older
+    with pytest.raises(FeatureTableError):
+        older.for_table(wider_table)
+
+
+def test_columns_are_chosen_by_name() -> None:
+    runs = made_up_runs(20)
+    names = ("section_length_m", "steer_mean_rad")
+    assert np.array_equal(runs.columns(names), runs.features[:, [-1, 0]], equal_nan=True)
+    with pytest.raises(FeatureTableError, match="no column colour"):
+        runs.columns(["colour"])
+
+
+def test_features_of_another_width_are_no_runs_of_the_table() -> None:
+    runs = made_up_runs(20)
+    with pytest.raises(DatasetError, match="not rows of"):
+        replace(runs, features=runs.features[:, :-1])
+
+
+def test_joining_keeps_the_table(wider_table: FeatureTable) -> None:
+    parts: list[Runs] = [made_up_runs(10, seed=i, table=wider_table) for i in range(2)]
+    assert joined(parts).table == wider_table
+    assert parts[0].rows(np.arange(3)).table == wider_table
