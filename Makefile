@@ -27,7 +27,7 @@ CODE := $(foreach place,$(PLACES),$(if $(shell find $(place) -name '*.py' -print
 
 .PHONY: help setup demo real-input test test-long test-fast coverage check format-check format lint types contracts bench lock \
         simulator-validation simulator-speed onboard-speed onboard-accuracy live-soak \
-        bundle paper-design wheel hooks clean
+        bundle paper-design study study-quick wheel hooks clean
 
 help: ## List the chores
 	@awk 'BEGIN {FS = ":.*## "} /^[a-z][a-z-]*:.*## / {printf "  make %-20s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -134,6 +134,12 @@ paper-design: $(STAMP) ## Drive the paper's test matrix, 3 x 44,000 kept runs, a
 	  $(BIN)/roadgrip-train simulate --design paper --runs $(RUNS) --driver $${way%-*} --sensors $${way#*-} --out $$folder; done
 	@$(BIN)/roadgrip-train cells $(DESIGN_FOLDERS) --out $(OUT)/paper_design.json --plot $(OUT)/paper_design.svg >/dev/null
 	@echo "$(OUT)/paper_design.json, .svg"
+
+study: $(STAMP) ## The paper reproduced, and what goes past it: docs/results/study (hours; goes on where it was)
+	@status=0; for part in paper generalise; do $(BIN)/roadgrip-train study $$part $(ARGS) || status=$$?; done; exit $$status
+
+study-quick: $(STAMP) ## The same from a few drives, in minutes: build/study-quick
+	@status=0; for part in paper generalise; do $(BIN)/roadgrip-train study $$part --quick $(ARGS) || status=$$?; done; exit $$status
 
 wheel: $(STAMP) ## Build dist/roadgrip-*.whl
 	@rm -rf dist && $(BIN)/python -m build --no-isolation --wheel .

@@ -169,12 +169,9 @@ def list_chapters(*, as_json: AsJson = False) -> None:
         typer.echo(json.dumps(listed))
         return
     for part in Part:
-        table = Table(
-            "name", "what it asks", "data sets", title=f"{part.value}: {PART_TITLES[part]}", title_justify="left"
-        )
+        typer.echo(f"{part.value}: {PART_TITLES[part]}")
         for chapter in chapters_of(part):
-            table.add_row(chapter.name, chapter.title, ", ".join(chapter.needs))
-        Console().print(table)
+            typer.echo(f"  {chapter.name:<18} {chapter.title} ({', '.join(chapter.needs) or 'no data sets'})")
 
 
 def code_version() -> str:

@@ -52,8 +52,13 @@ class Tracker:
             ConfigurationError: There is no server at the address, or it refuses.
         """
         self._address = address
-        self._client = _client(address)
+        for name, value in _SETTINGS.items():
+            os.environ.setdefault(name, value)
         with _errors_named(address):
+            from mlflow.tracking import MlflowClient
+
+            # Not `mlflow.set_tracking_uri`: that would hold for everything in this process.
+            self._client = MlflowClient(tracking_uri=address, registry_uri=address)
             found = self._client.get_experiment_by_name(experiment)
             if found is None:
                 place = None if files_folder is None else files_folder.resolve().as_uri()
@@ -143,25 +148,13 @@ def local_tracker(folder: Path, *, experiment: str) -> Tracker:
     return Tracker(address=address, experiment=experiment, files_folder=folder / FILES_FOLDER_NAME)
 
 
-def _client(address: str) -> MlflowClient:
-    for name, value in _SETTINGS.items():
-        os.environ.setdefault(name, value)
-    with _quiet():
-        from mlflow.tracking import MlflowClient
-
-        # Not `mlflow.set_tracking_uri`: that would hold for everything in this process.
-        return MlflowClient(tracking_uri=address, registry_uri=address)
-
-
 @contextmanager
 def _errors_named(address: str) -> Iterator[None]:
     """Turn whatever the library or its transport raises into one error that names the address."""
-    from mlflow.exceptions import MlflowException
-
     with _quiet():
         try:
             yield
-        except (MlflowException, OSError) as error:
+        except Exception as error:  # the library lets through what its stores raise, each in a way of its own
             raise ConfigurationError(f"cannot record at {address}: {error}") from error
 
 

@@ -28,7 +28,7 @@ PART_TITLES: Mapping[Part, str] = MappingProxyType(
 CHAPTER_MODULES: Mapping[Part, tuple[str, ...]] = MappingProxyType(
     {
         Part.PAPER: (),
-        Part.GENERALISE: (),
+        Part.GENERALISE: ("liars", "change"),
     }
 )
 

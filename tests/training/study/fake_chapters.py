@@ -84,6 +84,7 @@ def fake_chapter(
     *,
     compute: Callable[[Workbench, SensorGrade], Result] | None = None,
     judge: Callable[[Mapping[SensorGrade, Result]], Verdict] = verdict,
+    needs: tuple[str, ...] = ("paper",),
 ) -> Chapter:
     """Return a chapter that reads the data set "paper" and finds always the same."""
 
@@ -91,4 +92,4 @@ def fake_chapter(
         bench.runs("paper", grade)
         return fake_result()
 
-    return Chapter(name, f"Does {name} work?", "It does, with 3 %.", compute or usual, judge, needs=("paper",))
+    return Chapter(name, f"Does {name} work?", "It does, with 3 %.", compute or usual, judge, needs=needs)
