@@ -40,6 +40,8 @@ class PoolingPolicy:
         typical_error_ratio: Mean relative error of an estimate whose model expects none.
         lowest_noise_ratio: No passage is believed to be more exact than this standard deviation.
         highest_noise_ratio: None is taken to be less exact.
+        named_frac: Share of passages that must name a friction; with fewer, only a lower bound is placed. Those few are
+            not like the rest, or they would not be the only ones that know.
         outlier_frac: Share of estimates that have nothing to do with the road.
         clip_frac: How far the result may lie from what the median places.
         road_bias_ratio: Standard deviation of the error that all vehicles on one road share.
@@ -50,6 +52,7 @@ class PoolingPolicy:
     typical_error_ratio: float = 0.05
     lowest_noise_ratio: float = 0.02
     highest_noise_ratio: float = 0.4
+    named_frac: float = 0.5
     outlier_frac: float = 0.05
     clip_frac: float = 0.02
     road_bias_ratio: float = 0.03
@@ -63,6 +66,8 @@ class PoolingPolicy:
             raise ValueError(f"a typical error of {self.typical_error_ratio} is none")
         if not (0.0 < self.outlier_frac < 1.0 and 0.0 < self.confidence_frac < 1.0):
             raise ValueError("shares of outliers and confidence lie between 0 and 1")
+        if not 0.0 < self.named_frac <= 1.0:
+            raise ValueError("nobody places nothing, and no more than all can name a friction")
         if not (self.clip_frac >= 0.0 and self.road_bias_ratio >= 0.0):
             raise ValueError("a clip and a bias are no less than zero")
         if not 0.0 <= self.liars_frac < 0.5:
@@ -220,7 +225,8 @@ def refined_interval(
         return None
     median_mu, bound_only = placing_median_mu(mu, at_least)
     placed_mu = median_mu / MEDIAN_TYRE_RATIO
-    if bound_only:
+    if bound_only or informative_count < policy.named_frac * len(mu):
+        placed_mu = float(np.median(mu)) / MEDIAN_TYRE_RATIO
         return RefinedInterval(
             mu_low=WORN_TYRE_RATIO * placed_mu,
             mu_new=placed_mu,

@@ -129,8 +129,9 @@ def test_scaling_every_estimate_scales_the_interval(entries, factor):
 @given(ENTRIES)
 def test_the_median_holds_the_result(entries):
     mu, _, at_least = columns(entries)
-    median_mu, _ = placing_median_mu(mu, at_least)
-    assert abs(refined(entries).mu_new * 0.9 / median_mu - 1.0) <= POLICY.clip_frac + 1e-9
+    placed = refined(entries)
+    median_mu = np.median(mu) if placed.at_least else placing_median_mu(mu, at_least)[0]
+    assert abs(placed.mu_new * 0.9 / median_mu - 1.0) <= POLICY.clip_frac + 1e-9
 
 
 @given(ENTRIES, st.floats(0.1, 1.2), st.floats(0.0, 0.4))
@@ -154,6 +155,12 @@ def test_only_bounds_place_a_bound(mu):
     assert isinf(only.half_width_mu)
     assert only.mu_new == pytest.approx(np.median(mu) / 0.9)
     assert (only.informative_count, only.censored_count) == (0, len(mu))
+
+
+def test_a_few_who_name_a_friction_among_many_who_do_not_place_a_bound():
+    few = refined([*exact(0.8, 0.82), *[(0.3, nan, True)] * 5])
+    assert few.at_least
+    assert few.mu_new == pytest.approx(0.3 / 0.9)
 
 
 def test_low_bounds_say_little():
@@ -256,6 +263,7 @@ def test_a_window_hands_over_its_bounds():
         {"lowest_noise_ratio": 0.0},
         {"lowest_noise_ratio": 0.5},
         {"typical_error_ratio": 0.0},
+        {"named_frac": 0.0},
         {"outlier_frac": 0.0},
         {"confidence_frac": 1.0},
         {"clip_frac": -0.1},

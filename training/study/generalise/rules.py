@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from math import nan
 from types import MappingProxyType
 from typing import TypeAlias
 
@@ -73,6 +74,12 @@ def loose_mu(passages: Passages) -> float:
 def refined_mu(passages: Passages) -> float:
     """Return the same, held within 2 % of the median: what a unit would show beside the published interval."""
     return MEDIAN_TYRE_RATIO * interval_of(passages, policy=POLICY).mu_new
+
+
+def refined_or_nothing_mu(passages: Passages) -> float:
+    """Return the same, NaN where so few name a friction that it would only be a bound."""
+    interval = interval_of(passages, policy=POLICY)
+    return nan if interval.at_least else MEDIAN_TYRE_RATIO * interval.mu_new
 
 
 RULES: Mapping[str, PassageRule] = MappingProxyType(
