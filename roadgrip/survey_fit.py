@@ -100,6 +100,23 @@ class FitReport:
     has_heights: bool
 
 
+@dataclass(frozen=True, slots=True)
+class SurveyedCourse:
+    """How a surveyed line bends.
+
+    Attributes:
+        station_m: Distance along the line, about every metre. (n,)
+        curvature_1pm: Left turn positive. (n,)
+        vertex_station_m: Of the survey's own points. (k,)
+        smoothing_m: Standard deviation of the Gaussian along the line that was used.
+    """
+
+    station_m: FloatArray
+    curvature_1pm: FloatArray
+    vertex_station_m: FloatArray
+    smoothing_m: float
+
+
 def section_of_survey(survey: SurveyLine, request: ImportRequest) -> tuple[RoadSection, FitReport]:
     """Return the section that a surveyed line gives, and how well it fits.
 
@@ -166,19 +183,24 @@ def section_of_survey(survey: SurveyLine, request: ImportRequest) -> tuple[RoadS
     return section, report
 
 
-def surveyed_curvature(line: SurveyLine) -> tuple[FloatArray, FloatArray]:
-    """Return stations about every metre along a whole surveyed line, and its curvature there, left positive. Each (n,)
+def surveyed_course(line: SurveyLine) -> SurveyedCourse:
+    """Return how a whole surveyed line bends.
 
-    Smoothed as `section_of_survey` does where it is not told otherwise, so that a section cut between two of these
+    It is smoothed as `section_of_survey` does where it is not told otherwise: a section cut between two of these
     stations has this curvature.
 
     Raises:
         SectionError: The line is no road.
     """
     vertices = line.points_m - np.round(line.points_m[0], 3)
-    grid, _, columns = _even_grid(line, vertices)
-    sigma_m = _default_smoothing_m(float(grid[-1]) / (len(vertices) - 1))
-    return grid, _curvature(_smoothed(columns, step_m=grid[1], sigma_m=sigma_m))
+    grid, vertex_station, columns = _even_grid(line, vertices)
+    smoothing_m = _default_smoothing_m(float(grid[-1]) / (len(vertices) - 1))
+    return SurveyedCourse(
+        station_m=grid,
+        curvature_1pm=_curvature(_smoothed(columns, step_m=grid[1], sigma_m=smoothing_m)),
+        vertex_station_m=vertex_station,
+        smoothing_m=smoothing_m,
+    )
 
 
 def _speed_limit_kph(survey: SurveyLine, request: ImportRequest) -> float:

@@ -49,6 +49,20 @@ def random_section(rng: np.random.Generator, *, section_id: str) -> RoadSection:
     raise RuntimeError("no random road within the range of lengths that keeps clear of itself")
 
 
+def drawn_rated_speed_mps(rng: np.random.Generator, *, tightest_radius_m: float) -> float:
+    """Return a rated speed for a road: what bank and side friction of road design carry, and some haste on top.
+
+    A multiple of 10 km/h from 20 to 80.
+
+    Args:
+        rng: Source of chance; one draw.
+        tightest_radius_m: Of the road.
+    """
+    design_kph = np.sqrt(127.0 * tightest_radius_m * (BANK_CAP_RATIO + SIDE_FRICTION))
+    rated_kph = round(design_kph * rng.uniform(*_HASTE_RANGE) / _SPEED_STEP_KPH) * _SPEED_STEP_KPH
+    return kph_to_mps(float(np.clip(rated_kph, *_SPEED_RANGE_KPH)))
+
+
 def _meets_itself(section: RoadSection) -> bool:
     """Return whether two places far apart along a road lie on top of each other."""
     profile = section.profile
@@ -64,11 +78,7 @@ def _draw_design(rng: np.random.Generator, *, section_id: str) -> RoadDesign:
     low_m, high_m = RADIUS_RANGE_M
     radii_m = np.exp(rng.uniform(np.log(low_m), np.log(high_m), turns_count))
     tightest_m = float(radii_m.min())
-    # The speed at which bank and side friction of road design just carry the tightest radius.
-    design_kph = np.sqrt(127.0 * tightest_m * (BANK_CAP_RATIO + SIDE_FRICTION))
-    rated_kph = float(
-        np.clip(round(design_kph * rng.uniform(*_HASTE_RANGE) / _SPEED_STEP_KPH) * _SPEED_STEP_KPH, *_SPEED_RANGE_KPH)
-    )
+    rated_speed_mps = drawn_rated_speed_mps(rng, tightest_radius_m=tightest_m)
     elements: list[Element] = [straight(rng.uniform(5.0, 40.0))]
     sign = rng.choice([-1.0, 1.0])
     for radius_m in radii_m:
@@ -92,6 +102,6 @@ def _draw_design(rng: np.random.Generator, *, section_id: str) -> RoadDesign:
         grades=(GradePoint(0.0, rng.uniform(-0.06, 0.06)), GradePoint(length_m, rng.uniform(-0.06, 0.06))),
         start_heading_rad=rng.uniform(-np.pi, np.pi),
         origin_m=(250_000.0, 6_830_000.0, 800.0),
-        rated_speed_mps=kph_to_mps(rated_kph),
+        rated_speed_mps=rated_speed_mps,
         node_step_m=float(np.clip(tightest_m / 12.0, 2.0, 8.0)),
     )

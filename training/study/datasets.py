@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
+from roadgrip.section import RoadSection
 from training.designs import Size
+from training.study.ringebu import ringebu_sections
 from vehicle_client.simulator.plan import UNSCALED, AmplitudeScales, DriverKind
 
 
@@ -21,6 +24,8 @@ class DataSet:
         seed: Of the design.
         purpose: What it is for, in a line.
         scales: How many times as large disturbances are as usual.
+        sections: Roads to drive instead of a named design's, runs as attempts at the paper's base frictions; `design`
+            then only names the runs. Where it returns none, their source is not on this machine, and there are no runs.
     """
 
     name: str
@@ -31,6 +36,7 @@ class DataSet:
     driver_kind: DriverKind = DriverKind.PRUDENT
     seed: int = 1
     scales: AmplitudeScales = UNSCALED
+    sections: Callable[[], tuple[RoadSection, ...]] | None = None
 
 
 SENSITIVITY_SIZE = Size(60)
@@ -93,6 +99,15 @@ DATA_SETS: tuple[DataSet, ...] = (
         quick_size=Size(1, random_roads_count=100),
         seed=2,
         purpose="the same roads with another vehicle in every run",
+    ),
+    DataSet(
+        name="ringebu",
+        design="ringebu",
+        size=Size(2),
+        quick_size=Size(1),
+        seed=3,
+        purpose="bends of a real mountain road, of which nothing is learned, two vehicles per base friction on each",
+        sections=ringebu_sections,
     ),
     _scaled_set("sensors-halved", "with half the errors of sensors and map", AmplitudeScales(sensors_ratio=0.5)),
     _scaled_set("sensors-doubled", "with twice the errors of sensors and map", AmplitudeScales(sensors_ratio=2.0)),

@@ -12,11 +12,14 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Protocol
 
+import numpy as np
+
 from roadgrip.errors import ConfigurationError
-from training.dataset import RUNS_FILE_NAME, DatasetError, Runs, read_description
-from training.designs import named_design
+from roadgrip.features import FEATURE_NAMES
+from training.dataset import LABEL_COLUMNS, RUNS_FILE_NAME, DatasetError, Runs, read_description
+from training.designs import BASE_FRICTIONS_MU, named_design
 from training.machine import processor_model
-from training.scenarios import Design, Terms
+from training.scenarios import Design, Scenario, Terms, attempted
 from training.simulation import Progress, design_description, drive_design
 from training.study.datasets import DATA_SETS, DataSet
 from vehicle_client.simulator.plan import SensorGrade
@@ -64,7 +67,9 @@ class DesignSource:
         return hashlib.sha256(described.encode()).hexdigest()[:16]
 
     def is_there(self, name: str, grade: SensorGrade) -> bool:
-        """Return whether the design is driven to its end, by the present code."""
+        """Return whether the design is driven to its end, by the present code, or has nothing to drive."""
+        if not self.design(name, grade).scenarios:
+            return True
         try:
             origin = read_description(self.folder_of(name, grade) / RUNS_FILE_NAME)
         except DatasetError:
@@ -72,7 +77,9 @@ class DesignSource:
         return design_description(self.design(name, grade)).items() <= origin.items()
 
     def runs(self, name: str, grade: SensorGrade, on_progress: Callable[[int, int], None]) -> Runs:
-        """Return the runs of a data set, driven now as far as they are not there."""
+        """Return the runs of a data set, driven now as far as they are not there; none if it has no roads here."""
+        if not self.design(name, grade).scenarios:
+            return no_runs()
         folder = self.folder_of(name, grade)
         provenance = {
             "command": f"data set {name} of roadgrip-train study",
@@ -110,7 +117,23 @@ class DesignSource:
         wanted = data_set(name)
         seed = wanted.seed + self._seed - USUAL_SEED
         terms = Terms(wanted.design, seed, grade, wanted.driver_kind, wanted.scales)
-        return named_design(wanted.design, terms, wanted.quick_size if self._quick else wanted.size)
+        size = wanted.quick_size if self._quick else wanted.size
+        if wanted.sections is None:
+            return named_design(wanted.design, terms, size)
+        roads = (Scenario(road.section_id, road, attempted(size.runs_count)) for road in wanted.sections())
+        return Design(terms, tuple(roads), BASE_FRICTIONS_MU)
+
+
+def no_runs() -> Runs:
+    """Return a table without a row."""
+    return Runs(
+        features=np.empty((0, len(FEATURE_NAMES))),
+        labels={name: np.empty(0) for name in LABEL_COLUMNS},
+        scenario=(),
+        section_id=(),
+        outcome=(),
+        run_key=(),
+    )
 
 
 def data_set(name: str) -> DataSet:
