@@ -9,14 +9,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from roadgrip.errors import ConfigurationError
-from roadgrip.features import TABLES, road_features
+from roadgrip.features import NEWEST_TABLE, PAPER_TABLE, TABLES, road_features
 from roadgrip.records import KinematicSummary, NotCounted, Reason, Rejected
 from roadgrip.section import RoadSection
 from rsu_app.adapters.inference.onnx_model import load_bundle
 from rsu_app.domain.interval import IntervalPolicy, friction_interval
-from rsu_app.domain.judgement import Judgement
+from rsu_app.domain.judgement import Judgement, judgement
 from rsu_app.domain.plausibility import summary_values
-from tests.bundles import make_bundle
+from tests.bundles import make_bundle, make_bundle_of_tables
 from tests.training.recorded_drives import drive, roads
 from training.evaluation import Judge, RecordedDrive, driven_passage, evaluated, lowest_moving_mean_mu, unreadable
 from training.evaluation_bundle import judge_of, read_bundle
@@ -223,3 +223,24 @@ def test_a_document_names_bundle_car_and_maps(tmp_path):
     assert document["sections"][0]["version"] == S_BEND.version
     assert document["vehicle"] == PAPER_VEHICLE.name
     assert document["endings"] == {"counted": 1}
+
+
+def test_expected_errors_and_doubts_are_those_of_a_unit(tmp_path):
+    manifest = make_bundle_of_tables(tmp_path / "bundle", [NEWEST_TABLE], biases_mu=[0.5])
+    (model,) = manifest.models
+    driven = [passage_of(recorded(speed_mps=speed_mps), (S_BEND,)) for speed_mps in (10.0, 18.0)]
+    result = evaluated(driven, judge_of(read_bundle(tmp_path / "bundle")))
+    unit = load_bundle(tmp_path / "bundle")
+    for passage, each in zip(result.passages, driven, strict=True):
+        row = np.concatenate([summary_values(each.found), road_features(each.section, NEWEST_TABLE)])
+        answer = unit.estimate(model.table_digest, row[None, :])
+        assert answer.expected_error_ratio is not None
+        assert passage.expected_error_ratio == float(answer.expected_error_ratio[0])
+        told = judgement(row, model, mu=float(answer.mu[0]), expected_error_ratio=float(answer.expected_error_ratio[0]))
+        assert passage.at_least_mu == (told.mu_low if told.at_least else None)
+
+
+def test_a_bundle_for_the_papers_features_is_asked_in_its_own_columns(tmp_path):
+    make_bundle_of_tables(tmp_path / "bundle", [PAPER_TABLE], biases_mu=[0.4])
+    (passage,) = evaluated([passage_of(recorded(), (S_BEND,))], judge_of(read_bundle(tmp_path / "bundle"))).passages
+    assert passage.ending is Ending.COUNTED
