@@ -286,7 +286,7 @@ def _picture(seed: int, runs_count: int) -> Lines:
     """Return what is published around a drop, in the mean over roads."""
     at_s = np.arange(-1200.0, WINDOW_S + 1.0, 120.0)
     said: dict[str, list[float]] = {name: [] for name in MIDPOINTS}
-    for number in range(max(10, runs_count // 4)):
+    for number in range(max(5, runs_count // 4)):
         rng = np.random.default_rng([seed, number, 7])
         drive = driven(rng, sudden(0.6), from_s=-MEMORY_S, until_s=WINDOW_S, vehicles_per_hour=BUSY_PER_HOUR)
         for now_s in at_s.tolist():

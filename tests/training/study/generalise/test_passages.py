@@ -1,0 +1,48 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from training.study.generalise.passages import Traffic, drawn_passages
+
+EXACT = Traffic(lowest_noise_ratio=0.0, highest_noise_ratio=0.0, outlier_frac=0.0)
+
+
+def test_exact_vehicles_find_what_their_tyres_find(rng):
+    passages = drawn_passages(rng, 2000, mu_new=0.5, traffic=EXACT)
+    assert passages.mu.min() >= 0.4
+    assert passages.mu.max() <= 0.5
+    assert passages.mu.mean() == pytest.approx(0.45, abs=0.003)
+    assert not passages.at_least.any()
+
+
+def test_the_expected_error_is_the_one_that_comes(rng):
+    passages = drawn_passages(
+        rng, 40_000, mu_new=0.5, traffic=replace(EXACT, lowest_noise_ratio=0.06, highest_noise_ratio=0.06)
+    )
+    wear_spread = np.log(rng.uniform(0.8, 1.0, 40_000)).std()
+    noise = np.sqrt(np.log(passages.mu).std() ** 2 - wear_spread**2)
+    assert np.abs(noise * rng.standard_normal(40_000)).mean() == pytest.approx(
+        passages.expected_error_ratio[0], rel=0.03
+    )
+
+
+def test_who_needs_little_grip_knows_a_bound(rng):
+    passages = drawn_passages(rng, 4000, mu_new=0.5, traffic=replace(EXACT, shy_frac=1.0))
+    # Needs are even from 0.5 to 1.1, tyres from 0.8 to 1: two thirds need less than there is.
+    assert passages.at_least.mean() == pytest.approx(2.0 / 3.0, abs=0.03)
+    assert (passages.mu[passages.at_least] < 0.5).all()
+
+
+def test_an_error_that_all_share_moves_all_alike(rng):
+    shared = [drawn_passages(rng, 400, mu_new=0.5, traffic=replace(EXACT, road_bias_ratio=0.03)) for _ in range(300)]
+    assert np.std([np.log(one.mu).mean() for one in shared]) == pytest.approx(0.03, rel=0.15)
+
+
+def test_rows_may_be_taken_again(rng):
+    passages = drawn_passages(rng, 5, mu_new=0.5, traffic=Traffic())
+    taken = passages.rows(np.array([4, 4, 0]))
+    assert taken.mu.tolist() == passages.mu[[4, 4, 0]].tolist()
+    assert len(taken) == 3

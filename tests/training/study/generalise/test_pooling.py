@@ -1,0 +1,78 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.training.runs import made_up_runs
+from tests.training.study.desk import Desk
+from training.study.batches import CellErrors
+from training.study.chapter import Claim
+from training.study.generalise import estimates, pooling
+from training.study.generalise.passages import Traffic
+from training.study.generalise.rules import MEDIAN, REFINED
+from training.study.recipes import PAPER_FIT, PAPER_RECIPE, Boosted
+from vehicle_client.simulator.plan import SensorGrade
+
+FEW = Boosted(replace(PAPER_FIT, trees_count=8, depth_count=3, bins_count=16))
+SMALL = replace(PAPER_RECIPE, name="small", learn=FEW)
+
+
+def cell_errors(*, answered_frac=1.0, p95_ratio=0.1, road="bend"):
+    nothing = np.nan if answered_frac == 0.0 else p95_ratio
+    return CellErrors(road, 0.5, 40, 10, 20, answered_frac, nothing, nothing, nothing, nothing)
+
+
+def test_more_vehicles_err_less_and_the_refined_interval_least():
+    found = pooling.simulated(Traffic(), windows_count=60, seed=1)
+    assert found[MEDIAN, 100] < found[MEDIAN, 10] < found[MEDIAN, 1]
+    assert found[REFINED, 50] < found[MEDIAN, 50]
+
+
+def test_a_half_width_that_knows_of_shared_errors_holds_more_often():
+    widened, plain = (pooling.held_frac(plain, windows_count=200, seed=1) for plain in (False, True))
+    assert widened > 0.9
+    assert plain < 0.7
+
+
+def test_what_is_not_answered_is_no_error():
+    judged = pooling.judged_of((cell_errors(), cell_errors(answered_frac=0.0, road="silent")))
+    assert (judged.worst.road, judged.mean_ratio, judged.answered_frac) == ("bend", 0.1, 0.5)
+    silent = pooling.judged_of((cell_errors(answered_frac=0.0),))
+    assert np.isnan(silent.mean_ratio)
+    assert np.isnan(silent.worst.p95_ratio)
+
+
+@pytest.fixture(scope="module")
+def result():
+    roads = made_up_runs(300, seed=5)
+    named = replace(roads, section_id=tuple(f"road-{i % 24}" for i in range(300)))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(pooling, "QUICK_WINDOWS_COUNT", 10)
+        patch.setattr(pooling, "QUICK_BATCHES_COUNT", 4)
+        patch.setattr(pooling, "SIMULATED_SIZES_COUNT", (1, 50))
+        patch.setattr(pooling, "DRIVEN_SIZES_COUNT", (10, 50))
+        patch.setattr(estimates, "ERROR_LEARNER", FEW)
+        patch.setattr(pooling, "CONFIGS", {"paper_config": SMALL})
+        desk = Desk(data_sets={"paper": made_up_runs(300), "random-roads": named})
+        return pooling.CHAPTER.compute(desk, SensorGrade.IDEAL)
+
+
+def test_the_chapter_gives_its_headlines(result):
+    figures = result.figures
+    assert (
+        figures["headline.paper_config.interval10_worst_known_best"]
+        == figures[f"known.paper_config.{REFINED}.10.worst_p95"]
+    )
+    assert figures["headline.paper_config.interval50_worst_unseen"] > 0.0
+    assert all(len(row) == len(table.columns) for table in result.tables for row in table.rows)
+
+
+def test_the_verdict_names_the_rule_that_erred_least(result):
+    told = pooling.CHAPTER.verdict({SensorGrade.IDEAL: result})
+    assert told.claim is Claim.NOT_CLAIMED
+    for where in ("known", "unseen"):
+        figures = {**result.figures, f"{where}.paper_config.{MEDIAN}.50.worst_p95": 0.0}
+        told = pooling.CHAPTER.verdict({SensorGrade.IDEAL: replace(result, figures=figures)})
+        assert f"({MEDIAN})" in told.text
