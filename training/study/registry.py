@@ -27,7 +27,7 @@ PART_TITLES: Mapping[Part, str] = MappingProxyType(
 # Modules of `training.study.PART`, each with a CHAPTER. Imported when they are asked for: some bring heavy libraries.
 CHAPTER_MODULES: Mapping[Part, tuple[str, ...]] = MappingProxyType(
     {
-        Part.PAPER: (),
+        Part.PAPER: ("algorithms", "selection", "statistics", "local_global", "without"),
         Part.GENERALISE: ("liars", "change"),
     }
 )
