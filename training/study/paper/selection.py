@@ -185,6 +185,7 @@ def verdict(results: Mapping[SensorGrade, Result]) -> Verdict:
     ranked = [f"{name} ({count:.0f})" for name, count in sorted(counts.items(), key=lambda item: -item[1]) if count]
     first = figures["first_road_feature"]
     place = f"is number {first:.0f}" if first <= sizes[-1] else f"is not among the first {sizes[-1]}"
+    # How far a quick search goes is 15.
     more = f"{sizes[-1]} {per_cent_words(most)} and " if sizes[-1] > SELECTED_COUNT else "and "
     matters = "it hardly matters on known roads" if road_is_of_no_use else "it matters, even on known roads"
     text = (
@@ -194,7 +195,8 @@ def verdict(results: Mapping[SensorGrade, Result]) -> Verdict:
         f"{by_grade(results, 'headline.speed_only.sfs15_mape')}. After 15 features there is "
         f"{'little' if saturates else 'still something'} to gain. The first feature of the road {place}, the "
         f"paper's comes after number {PAPER_SHARED_COUNT}; both searches share "
-        f"{figures['shared.10']:.0f} of the first ten, the paper's all ten. Without road geometry 15 features come to {per_cent_words(no_road)}: {matters}. "
+        f"{figures['shared.10']:.0f} of the first ten, the paper's all ten. Without road "
+        f"geometry 15 features come to {per_cent_words(no_road)}: {matters}. "
         f"The 15 are from {listed(ranked)}; the paper names steering angle, sideslip, yaw rate excess and speed. "
         f"{figures['idle.15']:.0f} of the 15 brought nothing when they were chosen: on three roads a feature of the "
         "road can at worst be of no use, so a greedy search takes it where noise makes all others look harmful."
@@ -209,7 +211,8 @@ CHAPTER = Chapter(
         "Forward selection, with and without road geometry, from 3 to 30 features: the median MAPE falls from about "
         "5 % with three features to about 2.5 % with 15, and hardly further to 30. Both searches choose the same "
         "kinematic features up to number ten; then road features begin to come in. Steering angle, sideslip, "
-        "yaw rate excess and speed matter most. The paper goes on with 15 features. (It counts 82 in all; its list adds up to 78.)"
+        "yaw rate excess and speed matter most. The paper goes on with 15 features. (It counts 82 in all; its list "
+        "adds up to 78.)"
     ),
     compute=compute,
     verdict=verdict,
