@@ -60,7 +60,7 @@ def passage_cells(passage: EvaluatedPassage) -> dict[str, Any]:
         "error_ratio": passage.error_ratio,
         "expected_error_ratio": passage.expected_error_ratio,
         "at_least_mu": passage.at_least_mu,
-        "recorded_hz": 1.0 / passage.step_s,
+        "recorded_hz": round(1.0 / passage.step_s, 2),
         "entry_s": passage.entry_s,
         "exit_s": passage.exit_s,
         "mean_speed_mps": passage.mean_speed_mps,
