@@ -14,6 +14,7 @@ from training.fit_parameters import FitParameters
 from training.regressor import Fitted, fit
 
 RUNS = made_up_runs(1500)
+MODEL_FILE = f"friction-v{RUNS.table.version}.onnx"
 
 
 @pytest.fixture(scope="module")
@@ -36,20 +37,20 @@ def bundle(fitted: Fitted, tmp_path_factory: pytest.TempPathFactory) -> tuple[Pa
 def test_a_bundle_reads_back_as_it_was_written(bundle: tuple[Path, BundleManifest]) -> None:
     folder, manifest = bundle
     assert manifest_from_json((folder / "manifest.json").read_text()) == manifest
-    check_files(manifest, {"model.onnx": (folder / "model.onnx").read_bytes()})
+    check_files(manifest, {MODEL_FILE: (folder / MODEL_FILE).read_bytes()})
 
 
 def test_one_flipped_bit_in_the_model_is_seen(bundle: tuple[Path, BundleManifest]) -> None:
     folder, manifest = bundle
-    content = bytearray((folder / "model.onnx").read_bytes())
+    content = bytearray((folder / MODEL_FILE).read_bytes())
     content[len(content) // 2] ^= 1
     with pytest.raises(BundleError, match="differs from its digest"):
-        check_files(manifest, {"model.onnx": bytes(content)})
+        check_files(manifest, {MODEL_FILE: bytes(content)})
 
 
 def test_golden_vectors_are_what_the_model_answers(bundle: tuple[Path, BundleManifest]) -> None:
     folder, manifest = bundle
-    answers = onnx_estimate_mu((folder / "model.onnx").read_bytes(), np.array(manifest.models[0].golden.rows))
+    answers = onnx_estimate_mu((folder / MODEL_FILE).read_bytes(), np.array(manifest.models[0].golden.rows))
     assert answers == pytest.approx(np.array(manifest.models[0].golden.mu), abs=1e-7)
 
 
@@ -71,7 +72,7 @@ def test_an_export_that_answers_otherwise_leaves_nothing_behind(
     fitted: Fitted, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     other = to_onnx(fitted.booster[:20])
-    monkeypatch.setattr("training.bundling.to_onnx", lambda _trees: other)
+    monkeypatch.setattr("training.bundling.to_onnx", lambda _trees, **_options: other)
     with pytest.raises(BundleError, match="differs from the trained one"):
         bundled(fitted, tmp_path / "bundle")
     assert not (tmp_path / "bundle").exists()
