@@ -68,9 +68,12 @@ class StudyShow:
         self._forget_bars()
         self._tasks[what] = self._bars.add_task(what, total=None)
 
-    def ends(self, what: str, computed: Computed) -> None:
-        """Say that a stage is done."""
+    def ends(self, what: str, computed: Computed, *, kept: bool) -> None:
+        """Say that a stage is done, now or before."""
         self._forget_bars()
+        if kept:
+            self._console.print(f"[green]kept[/green] {what}", highlight=False)
+            return
         took = f"{computed.timing.wall_s:.0f} s, {computed.timing.cpu_s:.0f} s of processor time"
         late = " [red](longer than a stage may take)[/red]" if computed.timing.too_long else ""
         self._console.print(f"[green]done[/green] {what}: {took}{late}", highlight=False)

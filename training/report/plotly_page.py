@@ -13,7 +13,7 @@ from plotly.offline import get_plotlyjs
 
 from training.report.headline_table import HeadlineRow, headline_rows
 from training.report.plotly_picture import FigureSpec, plotly_of
-from training.report.wording import CLAIM_MARKS, GRADE_TITLES, cell_text, is_number, sizes_text, slug
+from training.report.wording import CLAIM_MARKS, GRADE_TITLES, cell_text, is_number, pairs_of, sizes_text, slug
 from training.study.chapter import Table
 from training.study.finding import Finding
 from training.study.picture import Picture
@@ -147,17 +147,11 @@ def _chapter(number: int, finding: Finding, figures: dict[str, FigureSpec]) -> s
 
 def _pairs(shown: Mapping[SensorGrade, tuple[T, ...]], draw: Callable[[T], str]) -> list[str]:
     """Return what belongs together side by side, the grades in their order: things of one title are a pair."""
-    by_title: dict[str, dict[SensorGrade, T]] = {}
-    for grade, things in shown.items():
-        for thing in things:
-            by_title.setdefault(thing.title, {})[grade] = thing
     return [
         f'<div class="pair{"" if len(pair) > 1 else " single"}">'
-        + "".join(
-            f'<div><p class="grade">{GRADE_TITLES[grade]}</p>{draw(thing)}</div>' for grade, thing in pair.items()
-        )
+        + "".join(f'<div><p class="grade">{title}</p>{draw(thing)}</div>' for title, thing in pair)
         + "</div>"
-        for pair in by_title.values()
+        for pair in pairs_of(shown)
     ]
 
 

@@ -12,10 +12,11 @@ from typing import Any
 
 from training.report.headline_table import headline_rows
 from training.report.svg_picture import svg_of
-from training.report.wording import CLAIM_MARKS, GRADE_TITLES, cell_text, is_number, sizes_text, slug
+from training.report.wording import CLAIM_MARKS, GRADE_TITLES, cell_text, is_number, pairs_of, sizes_text, slug
 from training.study.chapter import Table
 from training.study.documents import document_of, rounded
 from training.study.finding import Finding
+from training.study.picture import Picture
 from training.study.registry import PART_TITLES, Part
 from vehicle_client.simulator.plan import SensorGrade
 
@@ -36,10 +37,10 @@ def write_chapter(finding: Finding, out: Path) -> tuple[Path, ...]:
     folder = out / finding.chapter.name
     files: dict[str, bytes] = {"chapter.json": _json(chapter_document(finding)).encode()}
     for grade, result in finding.results.items():
-        for i, table in enumerate(result.tables, start=1):
-            files[f"{grade.value}-table-{i}-{slug(table.title)}.csv"] = csv_of(table).encode()
-        for i, picture in enumerate(result.pictures, start=1):
-            files[f"{grade.value}-picture-{i}-{slug(picture.title)}.svg"] = svg_of(picture)
+        for table, name in zip(result.tables, _file_names(grade, "table", result.tables), strict=True):
+            files[f"{name}.csv"] = csv_of(table).encode()
+        for picture, name in zip(result.pictures, _file_names(grade, "picture", result.pictures), strict=True):
+            files[f"{name}.svg"] = svg_of(picture)
     files[INDEX_FILE_NAME] = chapter_page(finding, tuple(files)).encode()
     folder.mkdir(parents=True, exist_ok=True)
     for old in folder.iterdir():
@@ -119,13 +120,19 @@ def chapter_page(finding: Finding, file_names: Sequence[str]) -> str:
         parts.append(finding.verdict.text)
     if finding.defects:
         parts.append("Not as it should be:\n\n" + "\n".join(f"- {line}" for line in finding.defects))
-    for grade, result in finding.results.items():
-        parts.append(f"## {GRADE_TITLES[grade]}")
-        parts += [markdown_of(table) for table in result.tables]
-        for i, picture in enumerate(result.pictures, start=1):
-            name = next(name for name in file_names if name.startswith(f"{grade.value}-picture-{i}-"))
-            parts.append(f"![{_in_cell(picture.title)}]({name})")
-        parts.append(f"Sizes: {sizes_text(result.sizes)}.")
+    results = finding.results
+    for pair in pairs_of({grade: result.tables for grade, result in results.items()}):
+        parts.append(f"## {pair[0][1].title}")
+        parts += [f"**{title}**\n\n{markdown_of(table)}" for title, table in pair]
+    places: dict[int, str] = {}
+    for grade, result in results.items():
+        for picture, name in zip(result.pictures, _file_names(grade, "picture", result.pictures), strict=True):
+            places.setdefault(id(picture), name)
+    for drawn in pairs_of({grade: result.pictures for grade, result in results.items()}):
+        parts.append(f"## {drawn[0][1].title}")
+        parts += [f"**{title}**\n\n![{_in_cell(picture.title)}]({places[id(picture)]}.svg)" for title, picture in drawn]
+    parts.append("## Sample sizes")
+    parts.append("\n".join(f"- {GRADE_TITLES[grade]}: {sizes_text(result.sizes)}" for grade, result in results.items()))
     beside = ", ".join(f"[{name}]({name})" for name in file_names if name.endswith((".json", ".csv")))
     return "\n\n".join([*parts, f"For machines: {beside}."]) + "\n"
 
@@ -162,13 +169,15 @@ def markdown_of(table: Table) -> str:
     """Return a table as Markdown."""
     numeric = [all(row[i] is None or is_number(row[i]) for row in table.rows) for i in range(len(table.columns))]
     lines = [
-        f"**{table.title}**",
-        "",
         f"| {' | '.join(map(_in_cell, table.columns))} |",
         f"|{'|'.join('---:' if right else '---' for right in numeric)}|",
         *(f"| {' | '.join(_in_cell(cell_text(cell)) for cell in row)} |" for row in table.rows),
     ]
     return "\n".join([*lines, "", table.note] if table.note else lines)
+
+
+def _file_names(grade: SensorGrade, kind: str, things: Sequence[Table] | Sequence[Picture]) -> list[str]:
+    return [f"{grade.value}-{kind}-{i}-{slug(thing.title)}" for i, thing in enumerate(things, start=1)]
 
 
 def _headlines(summary: Mapping[str, Any]) -> str:

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
+from typing import TypeVar
 
-from training.study.chapter import Cell, Claim
+from training.study.chapter import Cell, Claim, Table
+from training.study.picture import Picture
 from vehicle_client.simulator.plan import SensorGrade
+
+T = TypeVar("T", Table, Picture)
 
 GRADE_TITLES: Mapping[SensorGrade, str] = MappingProxyType(
     {SensorGrade.IDEAL: "Ideal sensors", SensorGrade.AUTOMOTIVE: "Automotive sensors"}
@@ -22,6 +26,7 @@ CLAIM_MARKS: Mapping[Claim, str] = MappingProxyType(
         Claim.NOT_CLAIMED: "\u2605",
     }
 )
+BOTH_GRADES = "Both grades of sensors"
 MISSING = "\u2013"
 _DIGITS_COUNT = 3
 
@@ -65,3 +70,24 @@ def slug(text: str) -> str:
 def is_number(cell: Cell) -> bool:
     """Return whether a cell is set to the right."""
     return isinstance(cell, int | float)
+
+
+def pairs_of(shown: Mapping[SensorGrade, Sequence[T]]) -> list[list[tuple[str, T]]]:
+    """Return tables or pictures that belong together, in order: those of one title, each under its sensors' name.
+
+    What is the same with all grades, since it knows nothing of sensors, stands there once.
+    """
+    by_title: dict[tuple[str, int], dict[SensorGrade, T]] = {}
+    for grade, things in shown.items():
+        titles: list[str] = []
+        for thing in things:
+            by_title.setdefault((thing.title, titles.count(thing.title)), {})[grade] = thing
+            titles.append(thing.title)
+    pairs = []
+    for pair in by_title.values():
+        # Compared as text: what is no number is not even equal to itself.
+        if len(pair) > 1 and len({repr(thing) for thing in pair.values()}) == 1:
+            pairs.append([(BOTH_GRADES, next(iter(pair.values())))])
+        else:
+            pairs.append([(GRADE_TITLES[grade], thing) for grade, thing in pair.items()])
+    return pairs

@@ -48,8 +48,8 @@ class Watcher(Protocol):
         """A stage begins."""
         ...
 
-    def ends(self, what: str, computed: Computed) -> None:
-        """A chapter has its result, just computed or kept."""
+    def ends(self, what: str, computed: Computed, *, kept: bool) -> None:
+        """A chapter has its result, just computed or kept from before."""
         ...
 
     def fails(self, what: str, details: str) -> None:
@@ -103,14 +103,15 @@ def conduct(
             # A chapter may fail in any way its libraries know; hours of work by the others shall not be lost by it.
             try:
                 kept = bench.kept(chapter, grade)
-                for name in chapter.needs if kept is None or kept.stale else ():
+                is_kept = kept is not None and not kept.stale
+                for name in chapter.needs if not is_kept else ():
                     bench.runs(name, grade)
                 computed[grade] = bench.computed(chapter, grade)
             except Exception as error:  # noqa: BLE001 - see above
                 failures[grade.value] = _in_a_line(error)
                 watcher.fails(what, traceback.format_exc())
             else:
-                watcher.ends(what, computed[grade])
+                watcher.ends(what, computed[grade], kept=is_kept)
         # With what the other grade found before, or the verdict would say less than is known.
         others = {grade: bench.kept(chapter, grade) for grade in SensorGrade if grade not in grades}
         known = {grade: kept for grade, kept in others.items() if kept is not None}

@@ -35,6 +35,7 @@ from vehicle_client.simulator.plan import SensorGrade
 FORMAT = 1
 """Counts up when what is kept is kept in another way."""
 LIBRARIES = ("numpy", "scipy", "xgboost-cpu", "scikit-learn", "optuna")
+CACHE_FOLDER_NAME = "cache"
 _RECORD = "__record__"
 
 Reads = dict[str, str]
@@ -57,11 +58,7 @@ class _Scope:
 
 
 class StudyWorkbench:
-    """The workbench of a study: `training.study.chapter.Workbench`, with files behind it.
-
-    Attributes:
-        threads_count: How many threads a library may take; chapters come one after another.
-    """
+    """The workbench of a study: `training.study.chapter.Workbench`, with files behind it."""
 
     def __init__(
         self,
@@ -69,7 +66,6 @@ class StudyWorkbench:
         *,
         quick: bool = False,
         seed: int = 1,
-        threads_count: int = 2,
         source: Source | None = None,
         on_report: Callable[[str, int, int], None] | None = None,
         code_of: Callable[[Callable[..., object]], str] | None = None,
@@ -80,7 +76,6 @@ class StudyWorkbench:
             work: For data sets and caches; made if missing.
             quick: Whether a rough answer in minutes is wanted.
             seed: Seed from which every chance of the study follows.
-            threads_count: How many threads a library may take.
             source: Where data sets come from; the study's designs, driven into the folder, if None.
             on_report: Is told how far a long computation is: what, how many done, of how many.
             code_of: Digest of the code that a function reaches; another one is for tests.
@@ -88,7 +83,6 @@ class StudyWorkbench:
         self._work = work
         self._quick = quick
         self._seed = seed
-        self.threads_count = threads_count
         self._source = source or DesignSource(work / "data", quick=quick, seed=seed)
         self._on_report = on_report
         self._code_of = code_of or reached_code_digest
@@ -199,7 +193,12 @@ class StudyWorkbench:
         """Return a file of its own for each name, quickness and seed."""
         whole = f"{name}|{self._quick}|{self._seed}|{FORMAT}"
         readable = re.sub(r"[^a-zA-Z0-9]+", "-", name).strip("-")[:60]
-        return self._work / kind / f"{readable}-{hashlib.sha256(whole.encode()).hexdigest()[:8]}{suffix}"
+        return (
+            self._work
+            / CACHE_FOLDER_NAME
+            / kind
+            / f"{readable}-{hashlib.sha256(whole.encode()).hexdigest()[:8]}{suffix}"
+        )
 
     @contextmanager
     def _new_scope(self) -> Iterator[_Scope]:
@@ -212,11 +211,18 @@ class StudyWorkbench:
 
 def reached_code_digest(work: Callable[..., object]) -> str:
     """Return what changes with the code that a function, lambda, method or partial of one reaches."""
-    while isinstance(work, partial):
-        work = work.func
+    if isinstance(work, partial):
+        given = [*work.args, *(part for pair in sorted(work.keywords.items()) for part in pair)]
+        words = [reached_code_digest(work.func), *(_identity(value) for value in given)]
+        return hashlib.sha256("\n".join(words).encode()).hexdigest()[:16]
     named = work if hasattr(work, "__qualname__") else type(work)
     top = str(named.__qualname__).split(".", 1)[0]
     return function_digest(named.__module__, top)
+
+
+def _identity(value: object) -> str:
+    """Return what an argument is, as text that is the same in the next process."""
+    return reached_code_digest(value) if callable(value) else repr(value)
 
 
 @cache

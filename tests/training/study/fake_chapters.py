@@ -37,7 +37,7 @@ class MadeUpSource:
 
 def fake_result(*, mape: float = 0.02) -> Result:
     """Return a result with a picture of every kind, and numbers that need care."""
-    x, y = (0.0, 1.0, 2.0), (0.1, float("nan"), 0.3)
+    x, y = (0.0, 1.0, 2.0), (mape, float("nan"), 0.3)
     return Result(
         figures={"mape": mape, "undefined": float("nan"), "headline.best.unseen_roads_mape": mape},
         sizes={"rows_count": ROWS_COUNT},

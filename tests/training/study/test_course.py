@@ -22,8 +22,8 @@ class Diary:
     def begins(self, what):
         self.told.append(f"begins {what}")
 
-    def ends(self, what, computed):
-        self.told.append(f"ends {what}")
+    def ends(self, what, computed, *, kept):
+        self.told.append(f"{'keeps' if kept else 'ends'} {what}")
 
     def fails(self, what, details):
         self.told.append(f"fails {what}: {details.strip().splitlines()[-1]}")
@@ -62,6 +62,14 @@ def test_a_study_that_is_done_needs_no_data(bench, source):
     assert [stage.name for stage in plan(again, (fake_chapter("a"),), GRADES)] == ["a", "a"]
     conduct(again, (fake_chapter("a"),), GRADES, Diary())
     assert source.made == []
+
+
+def test_what_is_kept_is_told_from_what_is_computed(bench):
+    diary = Diary()
+    for _ in range(2):
+        conduct(bench, (fake_chapter("a"),), (IDEAL,), diary)
+    once = ["begins a, ideal sensors", "ends a, ideal sensors", "found a"]
+    assert diary.told == [*once, "begins a, ideal sensors", "keeps a, ideal sensors", "found a"]
 
 
 def test_a_chapter_that_fails_takes_nothing_from_the_others(bench):

@@ -82,7 +82,7 @@ def test_arrays_follow_the_data_sets_they_were_computed_from(study, changed, cal
 
 def test_a_file_that_was_cut_short_is_computed_again(study):
     study().remembered("x", study.work())
-    (path,) = (study.folder / "arrays").iterdir()
+    (path,) = (study.folder / "cache/arrays").iterdir()
     path.write_bytes(path.read_bytes()[:100])
     study().remembered("x", study.work())
     assert len(study.calls) == 2
@@ -141,6 +141,14 @@ def test_progress_reaches_who_asked(study):
 
 
 def test_the_code_of_a_function_is_found_through_what_wraps_it():
-    assert reached_code_digest(partial(partial(number_text), 1.0)) == reached_code_digest(number_text)
     assert reached_code_digest(number_text) != reached_code_digest(cell_text)
+    assert reached_code_digest(partial(number_text)) != reached_code_digest(partial(cell_text))
     assert reached_code_digest(StudyWorkbench.report) == reached_code_digest(StudyWorkbench.runs)
+
+
+def test_what_a_function_is_given_beforehand_counts():
+    def given(value: float) -> str:
+        return reached_code_digest(partial(number_text, value=value))
+
+    assert given(1.0) == given(1.0) != given(2.0)
+    assert reached_code_digest(partial(map, number_text)) != reached_code_digest(partial(map, cell_text))
