@@ -28,7 +28,7 @@ PART_TITLES: Mapping[Part, str] = MappingProxyType(
 CHAPTER_MODULES: Mapping[Part, tuple[str, ...]] = MappingProxyType(
     {
         Part.PAPER: ("algorithms", "selection", "statistics", "local_global", "without"),
-        Part.GENERALISE: ("liars", "change"),
+        Part.GENERALISE: ("pooling", "liars", "change"),
     }
 )
 
