@@ -83,6 +83,10 @@ def evaluate(  # noqa: PLR0917 - typer reads options by name
         return
     if signals is not None and recorded_as is not ReferenceFormat.ROADGRIP:
         raise typer.BadParameter("signals.toml says it already; leave out the one or the other", param_hint="--format")
+    if out is not None and traces.is_dir() and out.resolve().is_relative_to(traces.resolve()):
+        raise typer.BadParameter(
+            f"{out} lies inside {traces}: its tables would be drives next time", param_hint="--out"
+        )
     from training.evaluation_bundle import judge_of, read_bundle
 
     loaded = read_bundle(bundle or Path(str(files("rsu_app") / "default_bundle")))

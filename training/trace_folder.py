@@ -43,6 +43,8 @@ from vehicle_client.vehicle_profile import PAPER_VEHICLE, VehicleProfile, profil
 SECTIONS_FOLDER_NAME = "sections"
 VEHICLE_FILE_NAME = "vehicle.toml"
 KEY_COLUMN = "run_key"
+TRUE_PREFIX = "true_"
+"""What was so, and no sensor told: nothing here may look at it."""
 TRACE_SUFFIXES = (".csv", ".csv.gz", ".parquet")
 STEP_LIMIT_S = 0.051
 """Rows may come so seldom: 20 a second are enough for what the features hold, 100 are asked for."""
@@ -274,7 +276,7 @@ def _tables_of(file: Path, name: str) -> list[tuple[str, dict[str, FloatArray]]]
     columns = {
         column: table[column].cast(pa.float64()).to_numpy().astype(np.float64)
         for column in table.column_names
-        if any(kind(table[column].type) for kind in numeric)
+        if any(kind(table[column].type) for kind in numeric) and not column.startswith(TRUE_PREFIX)
     }
     if KEY_COLUMN not in table.column_names:
         return [("", columns)]

@@ -1,4 +1,4 @@
-"""Recordings of real cars under the packaged bundle: what `roadgrip-train evaluate` says of drives that nobody made up."""
+"""Recordings of real cars under the packaged bundle: what `roadgrip-train evaluate` says of drives nobody made up."""
 
 import json
 

@@ -8,7 +8,7 @@ from roadgrip.geodesy import frame_of
 from roadgrip.section import BankOrigin, Direction, inferred_bank_ratio
 from roadgrip.section_file import section_from_json, section_to_json
 from roadgrip.survey import survey_line
-from roadgrip.survey_fit import ImportRequest, section_of_survey
+from roadgrip.survey_fit import ImportRequest, section_of_survey, surveyed_course
 from rsu_app.road_import.reading import survey_of_bytes
 from tests.rsu_app.road_import.surveys import ROADS, arc_points, needs_roads, ringebu_reference, ringebu_vertices
 
@@ -223,3 +223,15 @@ def test_a_genuine_nvdb_answer_becomes_a_section():
     assert report.deviation_rms_m < 0.25
     assert len(section.anchors) == 7
     assert 59.0 < section.anchors[0].lat_deg < 60.5
+
+
+@pytest.mark.parametrize("radius_m", [40.0, 120.0])
+def test_the_course_of_a_whole_line_bends_as_the_sections_cut_from_it(radius_m):
+    survey = _survey(arc_points(radius_m, 6.0, 8.0))
+    course = surveyed_course(survey)
+    assert course.vertex_station_m[[0, -1]] == pytest.approx(course.station_m[[0, -1]])
+    assert course.curvature_1pm[40:-40] == pytest.approx(1.0 / radius_m, rel=0.04, abs=1.2e-3)
+    section, report = section_of_survey(survey, _request(from_m=50.0, to_m=150.0))
+    assert report.smoothing_m == course.smoothing_m
+    there = np.interp(50.0 + section.profile.station_m, course.station_m, course.curvature_1pm)
+    assert section.profile.curvature_1pm == pytest.approx(there, abs=8e-4)

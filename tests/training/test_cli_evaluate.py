@@ -106,6 +106,13 @@ def test_a_bundle_that_was_tampered_with_is_refused(inside, monkeypatch, capsys)
     assert "differs from its digest" in " ".join(capsys.readouterr().err.split())
 
 
+def test_a_report_among_the_drives_would_be_taken_for_drives(inside):
+    result = _invoke("--bundle", "bundle", "--traces", "drives", "--out", "drives/report")
+    assert result.exit_code == 2
+    assert "would be drives next time" in " ".join(result.output.replace("│", " ").split())
+    assert not (inside / "drives" / "report").exists()
+
+
 @pytest.mark.parametrize("arguments", [[], ["--traces", "drives", "--example", "new"]])
 def test_drives_or_an_example_must_be_asked_for(inside, arguments):
     result = _invoke(*arguments)
