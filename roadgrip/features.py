@@ -202,11 +202,8 @@ TABLES: Mapping[str, FeatureTable] = {table.digest: table for table in (PAPER_TA
 NEWEST_TABLE = PAPER_TABLE
 """What the vehicle client makes and the laboratory learns from."""
 
-KINEMATIC_FEATURES = NEWEST_TABLE.kinematic
-ROAD_FEATURES = NEWEST_TABLE.road
-FEATURES = NEWEST_TABLE.features
 FEATURE_NAMES = NEWEST_TABLE.names
-TABLE_DIGEST = NEWEST_TABLE.digest
+"""Its columns by name."""
 
 
 def table_of(digest: str, *, subject: str) -> FeatureTable:
@@ -223,11 +220,6 @@ def table_of(digest: str, *, subject: str) -> FeatureTable:
         message = f"{subject} was made for feature table {digest}, this software speaks {', '.join(TABLES)}"
         raise FeatureTableError(message)
     return TABLES[digest]
-
-
-def check_digest(digest: str, *, subject: str) -> None:
-    """Do nothing if `digest` names a table that this software speaks, see `table_of`."""
-    table_of(digest, subject=subject)
 
 
 def summary_for(summary: KinematicSummary, table: FeatureTable) -> KinematicSummary:

@@ -89,7 +89,7 @@ class KinematicSummary:
     """The statistics of one trace.
 
     Attributes:
-        values: The kinematic features in the order of `roadgrip.features.KINEMATIC_FEATURES`.
+        values: The kinematic features in the order of the table that the digest names.
         table_digest: Digest of the feature table the values were made for.
         duration_s: Time spent inside the section.
         quality: What the vehicle says about its own summary.
@@ -212,7 +212,7 @@ class Arrival:
 
 @dataclass(frozen=True, slots=True)
 class MapOffer:
-    """The map of a section, with the feature tables that the unit's live model serves."""
+    """The map of a section, with the feature tables that the unit's live models serve."""
 
     section: RoadSection
     table_digests: tuple[str, ...]

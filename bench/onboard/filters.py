@@ -18,7 +18,7 @@ from bench.onboard.agreement import Agreement, agreement, pooled
 from bench.onboard.chapters import Figures
 from bench.onboard.drives import GRADES, SEED, Watched, completed_drives, study_scenarios
 from bench.validation.picture import OURS, QUIET, THEORY, label, legend, line, panels, write
-from roadgrip.features import KINEMATIC_FEATURES
+from roadgrip.features import NEWEST_TABLE
 from roadgrip.records import Rejected
 from roadgrip.units import SAMPLE_RATE_HZ, FloatArray
 from vehicle_client.estimation import filters
@@ -145,10 +145,10 @@ def _change_figures(found: _Gathered) -> dict[str, Any]:
         "q50_ratio": float(np.median(change)),
         "q95_ratio": float(np.quantile(change, 0.95)),
         "largest_ratio": float(change.max()),
-        "most_changed_feature": KINEMATIC_FEATURES[worst].name,
+        "most_changed_feature": NEWEST_TABLE.kinematic[worst].name,
         "most_changed_q50_ratio": float(by_feature[worst]),
         "by_signal_q50_ratio": {name: float(np.median(some)) for name, some in zip(SIGNALS, by_signal, strict=True)},
-        "by_feature_q50_ratio": {f.name: float(by_feature[k]) for k, f in enumerate(KINEMATIC_FEATURES)},
+        "by_feature_q50_ratio": {f.name: float(by_feature[k]) for k, f in enumerate(NEWEST_TABLE.kinematic)},
     }
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from roadgrip.errors import TraceError
-from roadgrip.features import KINEMATIC_FEATURES
+from roadgrip.features import NEWEST_TABLE
 from roadgrip.records import KinematicSummary, QualityFlag, Reason, Rejected
 from roadgrip.section import RoadSection
 from vehicle_client.estimation.trace import Trace
@@ -142,7 +142,7 @@ def ends_as(result: Result, expected: Result | tuple[Result, ...]) -> bool:
 
 def harm_ratio(summary: KinematicSummary, *, than: KinematicSummary) -> float:
     """Return the largest relative change of the telling features."""
-    names = [feature.name for feature in KINEMATIC_FEATURES]
+    names = [feature.name for feature in NEWEST_TABLE.kinematic]
     rows = [names.index(name) for name in TELLING]
     values, whole = np.array(summary.values)[rows], np.array(than.values)[rows]
     return float(np.abs(values / whole - 1.0).max())

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from roadgrip.features import KINEMATIC_FEATURES
+from roadgrip.features import NEWEST_TABLE
 from roadgrip.sections import read_section
 from tests.vehicle_client.synthetic import drive_over, road, s_turn, with_noise
 from vehicle_client.pipeline import Summarised, summarise_passage
@@ -55,7 +55,7 @@ def written(drives: Iterable[str]) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(["feature", *drives])
-    for i, feature in enumerate(KINEMATIC_FEATURES):
+    for i, feature in enumerate(NEWEST_TABLE.kinematic):
         writer.writerow([feature.name, *(f"{column[i]:.6g}" for column in columns)])
     return text.getvalue()
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from roadgrip.features import KINEMATIC_FEATURES, STATISTICS
+from roadgrip.features import NEWEST_TABLE, STATISTICS
 from roadgrip.units import FloatArray
 from tests.vehicle_client.synthetic import drive_over, fixes_of, negative, road, s_turn, surveyed, with_noise
 from vehicle_client.estimation.trace import Trace, mirrored, part_of
@@ -18,7 +18,7 @@ CLEAN, STATION = drive_over(s_turn, swing_mps=1.0, approach_m=300.0, exit_m=120.
 TRACE = with_noise(CLEAN, np.random.default_rng(2))
 ENTRY, EXIT = (int(np.searchsorted(STATION, at)) for at in (0.0, 400.0))
 SENSORS = ("accel_x_mps2", "accel_y_mps2", "roll_rate_radps", "yaw_rate_radps", "steer_rad")
-HAS_UNIT = np.array([bool(feature.unit) for feature in KINEMATIC_FEATURES]).reshape(5, -1)
+HAS_UNIT = np.array([bool(feature.unit) for feature in NEWEST_TABLE.kinematic]).reshape(5, -1)
 """Skewness and kurtosis of a sideslip that is next to nothing are those of the noise."""
 
 
