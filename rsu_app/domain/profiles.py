@@ -31,7 +31,7 @@ class ProfilePolicy:
     """How far the profiles are believed.
 
     Attributes:
-        temper_power: Each log likelihood is multiplied by this before pooling, above 0 and at most 1: a model of the
+        temper_exponent: Each log likelihood is multiplied by this before pooling, above 0 and at most 1: a model of the
             vehicle that is somewhat wrong is surer than it should be.
         outlier_frac: Share of passages whose profile has nothing to do with the road.
         flat_log_ratio: Profiles whose log likelihood varies by less are counted as saying nothing.
@@ -39,15 +39,15 @@ class ProfilePolicy:
         confidence_frac: Probability asked of the half-width.
     """
 
-    temper_power: float = 0.5
+    temper_exponent: float = 0.5
     outlier_frac: float = 0.05
     flat_log_ratio: float = 2.0
     road_bias_ratio: float = 0.03
     confidence_frac: float = 0.95
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.temper_power <= 1.0:
-            raise ValueError(f"a likelihood to the power {self.temper_power} is not a careful one")
+        if not 0.0 < self.temper_exponent <= 1.0:
+            raise ValueError(f"a likelihood to the power {self.temper_exponent} is not a careful one")
         if not (0.0 < self.outlier_frac < 1.0 and 0.0 < self.confidence_frac < 1.0):
             raise ValueError("shares of outliers and confidence lie between 0 and 1")
         if not (self.flat_log_ratio >= 0.0 and self.road_bias_ratio >= 0.0):
@@ -103,7 +103,7 @@ def evidence_of_profiles(
     """
     spline, log_tyre_mu = _spline(tuple(grid_mu.tolist()))
     fine = log_likelihood_values @ spline.T
-    tempered = np.exp(policy.temper_power * (fine - fine.max(axis=1, keepdims=True)))
+    tempered = np.exp(policy.temper_exponent * (fine - fine.max(axis=1, keepdims=True)))
     tempered /= tempered.mean(axis=1, keepdims=True)
     # The density of ln wear grows as the wear itself. So the mean over wear is a moving sum of likelihood times
     # friction, by the trapezoidal rule, over the friction of the new tyre.

@@ -12,7 +12,7 @@ from rsu_app.domain.profiles import ProfilePolicy, evidence_of_profiles, new_tyr
 from rsu_app.domain.wear import estimate_density
 
 GRID_MU = np.geomspace(0.08, 1.2, 12)
-WHOLE = ProfilePolicy(temper_power=1.0)
+WHOLE = ProfilePolicy(temper_exponent=1.0)
 
 
 def pooled(profiles, policy=WHOLE, grid_mu=GRID_MU):
@@ -94,7 +94,7 @@ def test_an_outlier_weighs_no_more_than_its_being_one():
 
 def test_tempering_widens():
     profiles = parabolas(np.array([0.36, 0.38, 0.41]), 0.1)
-    whole, tempered = (pooled(profiles, p) for p in (WHOLE, replace(WHOLE, temper_power=0.25)))
+    whole, tempered = (pooled(profiles, p) for p in (WHOLE, replace(WHOLE, temper_exponent=0.25)))
     assert tempered.half_width_mu > 1.3 * whole.half_width_mu
 
 
@@ -116,7 +116,7 @@ def test_a_grid_that_cannot_hold_a_profile_is_refused(grid):
 
 @pytest.mark.parametrize(
     "belief",
-    [{"temper_power": 0.0}, {"temper_power": 1.5}, {"outlier_frac": 0.0}, {"road_bias_ratio": -1.0}],
+    [{"temper_exponent": 0.0}, {"temper_exponent": 1.5}, {"outlier_frac": 0.0}, {"road_bias_ratio": -1.0}],
 )
 def test_a_policy_that_contradicts_itself_is_refused(belief):
     with pytest.raises(ValueError, match=r".+"):

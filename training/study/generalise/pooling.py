@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
+from math import isfinite, nan
 
 import numpy as np
 
@@ -52,6 +53,8 @@ KINDS_OF_TRAFFIC: Mapping[str, Traffic] = {
 FLOOR = "median of perfect estimates"
 BOUNDED_MEDIAN = "Kaplan-Meier median, doubtful as bounds"
 BOUNDED = "posterior within 2 %, doubtful as bounds"
+MEDIAN_THERE = "median, where that one answers"
+"""What is won by saying nothing where nothing can be known, apart from what is won by the rule."""
 JUDGED = (MEDIAN, WEIGHTED, POSTERIOR, LOOSE, REFINED)
 """Rules that answer for every batch; compared with each other."""
 
@@ -157,11 +160,13 @@ def held_frac(plain: bool, *, windows_count: int, seed: int) -> float:  # noqa: 
 def rules_on(estimated: Estimated) -> dict[str, Rule]:
     """Return the rules that are compared on driven data, each for the same rows of its table."""
     plain, bounded = estimated.passages, estimated.with_bounds
+    published, careful = rule_on_rows(RULES[MEDIAN], plain), rule_on_rows(refined_or_nothing_mu, bounded)
     return {
         FLOOR: published_rule(estimated.runs.labels["label_mu"]),
         **{name: rule_on_rows(RULES[name], plain) for name in JUDGED},
         BOUNDED_MEDIAN: rule_on_rows(RULES[KAPLAN_MEIER], bounded),
-        BOUNDED: rule_on_rows(refined_or_nothing_mu, bounded),
+        BOUNDED: careful,
+        MEDIAN_THERE: lambda rows: published(rows) if isfinite(careful(rows)) else nan,
     }
 
 
@@ -283,9 +288,21 @@ def verdict(results: Mapping[SensorGrade, Result]) -> Verdict:
                 texts.append(
                     f"{grade.value.capitalize()} sensors, {where} roads, {size} vehicles ({config}): worst cell "
                     f"{100.0 * found[MEDIAN]:.1f} % by the median, {100.0 * found[REFINED]:.1f} % refined; the least "
-                    f"of all rules {100.0 * found[best]:.1f} % ({best}), with perfect estimates {100.0 * floor:.1f} %."
+                    f"of all rules {100.0 * found[best]:.1f} % ({best}), with perfect estimates {100.0 * floor:.1f} %. "
+                    + _where_answered(figures, f"{where}.{config}", size)
                 )
     return Verdict(Claim.NOT_CLAIMED, " ".join(texts))
+
+
+def _where_answered(figures: Mapping[str, float], place: str, size: int) -> str:
+    answered = figures[f"{place}.{BOUNDED}.{size}.answered_frac"]
+    if answered == 0.0:
+        return "If doubtful estimates count as bounds, no batch has enough that name a friction."
+    careful, median = (figures[f"{place}.{rule}.{size}.worst_p95"] for rule in (BOUNDED, MEDIAN_THERE))
+    return (
+        f"If doubtful estimates count as bounds, {100.0 * answered:.0f} % of the batches are answered; the worst cell "
+        f"is then {100.0 * careful:.1f} %, and {100.0 * median:.1f} % by the median of the same batches."
+    )
 
 
 CHAPTER = Chapter(
