@@ -47,20 +47,22 @@ def cloud_of(x: FloatArray, y: FloatArray, *, name: str, seed: int) -> Cloud:
     return Cloud(name, tuple(np.round(x[kept], 5).tolist()), tuple(np.round(y[kept], 5).tolist()))
 
 
-def histogram_of(groups: dict[str, FloatArray], *, edges: FloatArray) -> tuple[tuple[str, tuple[float, ...]], ...]:
+def histogram_of(
+    groups: dict[str, FloatArray], *, edge_values: FloatArray
+) -> tuple[tuple[str, tuple[float, ...]], ...]:
     """Return the share of each group's values in every bin, in per cent; what lies outside counts in the outer bins.
 
     Args:
         groups: Values by name. Each (n,)
-        edges: Ascending. (bins + 1,)
+        edge_values: Ascending. (bins + 1,)
 
     Returns:
         Heights by group, as `training.study.picture.Bars` takes them.
     """
     shares = []
     for name, values in groups.items():
-        inside = np.clip(values, edges[0], np.nextafter(edges[-1], edges[0]))
-        counts, _ = np.histogram(inside, edges)
+        inside = np.clip(values, edge_values[0], np.nextafter(edge_values[-1], edge_values[0]))
+        counts, _ = np.histogram(inside, edge_values)
         shares.append((name, tuple((100.0 * counts / len(values)).tolist())))
     return tuple(shares)
 
@@ -70,18 +72,18 @@ class Shape:
     """How like a bell a distribution is.
 
     Attributes:
-        mean: In the unit of the values.
-        std: The same.
-        skewness: 0 for anything symmetrical.
-        kurtosis: In excess of a bell's: 0 for a bell, more with heavier tails.
+        mean_value: In the unit of the values.
+        std_value: The same.
+        skewness_ratio: 0 for anything symmetrical.
+        kurtosis_ratio: In excess of a bell's: 0 for a bell, more with heavier tails.
         within_one_std_frac: Share of the values at most one standard deviation from the mean; 0.683 for a bell.
         within_two_std_frac: At most two; 0.954 for a bell.
     """
 
-    mean: float
-    std: float
-    skewness: float
-    kurtosis: float
+    mean_value: float
+    std_value: float
+    skewness_ratio: float
+    kurtosis_ratio: float
     within_one_std_frac: float
     within_two_std_frac: float
 
@@ -91,24 +93,24 @@ def shape_of(values: FloatArray) -> Shape:
     mean, std = float(values.mean()), float(values.std())
     scaled = (values - mean) / std
     return Shape(
-        mean=mean,
-        std=std,
-        skewness=float(np.mean(scaled**3)),
-        kurtosis=float(np.mean(scaled**4)) - 3.0,
+        mean_value=mean,
+        std_value=std,
+        skewness_ratio=float(np.mean(scaled**3)),
+        kurtosis_ratio=float(np.mean(scaled**4)) - 3.0,
         within_one_std_frac=float(np.mean(np.abs(scaled) <= 1.0)),
         within_two_std_frac=float(np.mean(np.abs(scaled) <= 2.0)),
     )
 
 
-def bell_shares(mean: float, std: float, *, edges: FloatArray) -> tuple[float, ...]:
+def bell_shares(*, mean_value: float, std_value: float, edge_values: FloatArray) -> tuple[float, ...]:
     """Return the share of a normal distribution in every bin, in per cent; the outer bins take the tails.
 
     Args:
-        mean: In the unit of the edges.
-        std: The same; positive.
-        edges: Ascending. (bins + 1,)
+        mean_value: In the unit of the edges.
+        std_value: The same; positive.
+        edge_values: Ascending. (bins + 1,)
     """
-    below = np.array([0.5 * (1.0 + erf((edge - mean) / (std * sqrt(2.0)))) for edge in edges])
+    below = np.array([0.5 * (1.0 + erf((edge - mean_value) / (std_value * sqrt(2.0)))) for edge in edge_values])
     below[0], below[-1] = 0.0, 1.0
     return tuple((100.0 * np.diff(below)).tolist())
 

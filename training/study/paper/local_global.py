@@ -117,10 +117,10 @@ def _residual_figures(truth_mu: FloatArray, estimate_mu: FloatArray, features: s
     residual = (estimate_mu - truth_mu) / truth_mu
     shape, bands = shape_of(residual), band_residuals(truth_mu, estimate_mu)
     return {
-        f"residual_mean.{features}": shape.mean,
-        f"residual_std.{features}": shape.std,
-        f"residual_skewness.{features}": shape.skewness,
-        f"residual_kurtosis.{features}": shape.kurtosis,
+        f"residual_mean.{features}": shape.mean_value,
+        f"residual_std.{features}": shape.std_value,
+        f"residual_skewness.{features}": shape.skewness_ratio,
+        f"residual_kurtosis.{features}": shape.kurtosis_ratio,
         f"residual_within_one_std.{features}": shape.within_one_std_frac,
         f"residual_within_two_std.{features}": shape.within_two_std_frac,
         f"residual_worst_band_mean.{features}": max((abs(mean) for _, mean, _, _ in bands), default=0.0),
@@ -251,8 +251,11 @@ def _pictures(
         Axis("share of runs in %", low=0.0),
         tuple(f"{centre:g}" for centre in centres),
         (
-            *histogram_of({scope: residual[SELECTED, scope] for scope in (GLOBAL, LOCAL)}, edges=RESIDUAL_EDGES),
-            ("normal, as wide as global", bell_shares(shape.mean, shape.std, edges=RESIDUAL_EDGES)),
+            *histogram_of({scope: residual[SELECTED, scope] for scope in (GLOBAL, LOCAL)}, edge_values=RESIDUAL_EDGES),
+            (
+                "normal, as wide as global",
+                bell_shares(mean_value=shape.mean_value, std_value=shape.std_value, edge_values=RESIDUAL_EDGES),
+            ),
         ),
     )
     return (boxes, *scatters, *residuals, distribution)
