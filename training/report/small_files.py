@@ -12,7 +12,16 @@ from typing import Any
 
 from training.report.headline_table import headline_rows
 from training.report.svg_picture import svg_of
-from training.report.wording import CLAIM_MARKS, GRADE_TITLES, cell_text, is_number, pairs_of, sizes_text, slug
+from training.report.wording import (
+    CLAIM_MARKS,
+    GRADE_TITLES,
+    cell_text,
+    is_number,
+    pairs_of,
+    sizes_text,
+    slug,
+    without_grade,
+)
 from training.study.chapter import Table
 from training.study.documents import document_of, rounded
 from training.study.finding import Finding
@@ -122,14 +131,14 @@ def chapter_page(finding: Finding, file_names: Sequence[str]) -> str:
         parts.append("Not as it should be:\n\n" + "\n".join(f"- {line}" for line in finding.defects))
     results = finding.results
     for pair in pairs_of({grade: result.tables for grade, result in results.items()}):
-        parts.append(f"## {pair[0][1].title}")
+        parts.append(f"## {_heading(pair)}")
         parts += [f"**{title}**\n\n{markdown_of(table)}" for title, table in pair]
     places: dict[int, str] = {}
     for grade, result in results.items():
         for picture, name in zip(result.pictures, _file_names(grade, "picture", result.pictures), strict=True):
             places.setdefault(id(picture), name)
     for drawn in pairs_of({grade: result.pictures for grade, result in results.items()}):
-        parts.append(f"## {drawn[0][1].title}")
+        parts.append(f"## {_heading(drawn)}")
         parts += [f"**{title}**\n\n![{_in_cell(picture.title)}]({places[id(picture)]}.svg)" for title, picture in drawn]
     parts.append("## Sample sizes")
     parts.append("\n".join(f"- {GRADE_TITLES[grade]}: {sizes_text(result.sizes)}" for grade, result in results.items()))
@@ -174,6 +183,13 @@ def markdown_of(table: Table) -> str:
         *(f"| {' | '.join(_in_cell(cell_text(cell)) for cell in row)} |" for row in table.rows),
     ]
     return "\n".join([*lines, "", table.note] if table.note else lines)
+
+
+def _heading(pair: Sequence[tuple[str, Table]] | Sequence[tuple[str, Picture]]) -> str:
+    title = pair[0][1].title
+    for grade in SensorGrade:
+        title = without_grade(title, grade)
+    return title
 
 
 def _file_names(grade: SensorGrade, kind: str, things: Sequence[Table] | Sequence[Picture]) -> list[str]:

@@ -72,17 +72,24 @@ def is_number(cell: Cell) -> bool:
     return isinstance(cell, int | float)
 
 
+def without_grade(title: str, grade: SensorGrade) -> str:
+    """Return a title without the sensors it names, if it does."""
+    return re.sub(rf"[,:]? ?\(?(with |by )?\b{grade.value}\b( sensors)?\)?", "", title, flags=re.IGNORECASE).strip()
+
+
 def pairs_of(shown: Mapping[SensorGrade, Sequence[T]]) -> list[list[tuple[str, T]]]:
     """Return tables or pictures that belong together, in order: those of one title, each under its sensors' name.
 
-    What is the same with all grades, since it knows nothing of sensors, stands there once.
+    Titles that differ in nothing but the sensors they name are one. What is the same with all grades, since it knows
+    nothing of sensors, stands there once.
     """
     by_title: dict[tuple[str, int], dict[SensorGrade, T]] = {}
     for grade, things in shown.items():
         titles: list[str] = []
         for thing in things:
-            by_title.setdefault((thing.title, titles.count(thing.title)), {})[grade] = thing
-            titles.append(thing.title)
+            title = without_grade(thing.title, grade)
+            by_title.setdefault((title, titles.count(title)), {})[grade] = thing
+            titles.append(title)
     pairs = []
     for pair in by_title.values():
         # Compared as text: what is no number is not even equal to itself.

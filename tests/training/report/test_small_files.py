@@ -7,7 +7,7 @@ import pytest
 
 from tests.training.study.fake_chapters import fake_chapter, fake_result, verdict
 from training.report.small_files import index_page, markdown_of, write_chapter, write_summary
-from training.report.wording import cell_text, number_text, percent_text, slug
+from training.report.wording import cell_text, number_text, pairs_of, percent_text, slug
 from training.study.chapter import Result, Table
 from training.study.finding import Computed, Finding, Timing
 from training.study.headlines import summary
@@ -97,6 +97,20 @@ def test_the_index_leads_to_chapters_and_shows_targets(tmp_path):
 def test_a_table_cannot_be_broken_by_what_stands_in_it():
     lines = markdown_of(Table("t", ("a|b",), (("c|d\ne",),))).splitlines()
     assert lines == ["| a\\|b |", "|---|", "| c\\|d e |"]
+
+
+@pytest.mark.parametrize(
+    "title",
+    ["Boxes, ideal sensors", "Boxes (ideal)", "Boxes with ideal sensors", "Boxes: ideal", "Ideal sensors: boxes"],
+)
+def test_titles_that_name_their_sensors_are_a_pair(title):
+    other = title.replace("ideal", "automotive").replace("Ideal", "Automotive")
+    shown = {
+        SensorGrade.IDEAL: (Table(title, ("a",), ((1,),)),),
+        SensorGrade.AUTOMOTIVE: (Table(other, ("a",), ((2,),)),),
+    }
+    (pair,) = pairs_of(shown)
+    assert [grade for grade, _ in pair] == ["Ideal sensors", "Automotive sensors"]
 
 
 @pytest.mark.parametrize(
