@@ -136,8 +136,13 @@ def _add_command(part: Part) -> None:
                 "code_version": code_version(),
             }
             show.record = StudyRecord(tracker, f"study {part.value}", parameters, tell=_warn)
-        with show:
-            conducted = conduct(bench, chapters, grades, show)
+        try:
+            with show:
+                conducted = conduct(bench, chapters, grades, show)
+        except BaseException:  # a break by hand is no failure of a chapter, but it is the end of the records
+            if show.record is not None:
+                show.record.end((), well=False)
+            raise
         files = _write_reports(part, bench, conducted, out=place)
         failed = [name for finding in conducted for name in finding.failures]
         if show.record is not None:

@@ -123,6 +123,7 @@ class StudyRecord:
             ConfigurationError: It cannot be recorded at all.
         """
         self._tracker = tracker
+        self._parameters = parameters
         self._tell = tell
         self._lost = False
         self._run = tracker.begin(name, parameters=parameters)
@@ -146,6 +147,7 @@ class StudyRecord:
             run: TrackedRun = self._tracker.begin(
                 f"{finding.chapter.name} {grade.value}",
                 parameters={
+                    **self._parameters,
                     "chapter": finding.chapter.name,
                     "sensors": grade.value,
                     "code_digest": done.code_digest,

@@ -72,6 +72,8 @@ def test_a_study_is_a_run_with_a_run_for_each_chapter_and_grade(records, tmp_pat
     assert names == {"a ideal", "a automotive"}
     sizes = "select value from params where run_uuid = ? and key = 'size.rows_count'"
     assert records.ask(sizes, children[0][0]) == [("60",)]
+    quick = "select value from params where run_uuid = ? and key = 'quick'"
+    assert records.ask(quick, children[0][0]) == records.ask(quick, parent) == [("True",)]
     assert told == []
 
 

@@ -156,6 +156,7 @@ def summary(findings: Sequence[Finding], *, seed: int, quick: bool, version: str
     document["quick"] = quick
     document["seed"] = seed
     document["code_version"] = version
+    document["wall_s"] = round(sum(done.timing.wall_s for finding in findings for done in finding.computed.values()))
     document["chapters"] = {
         finding.chapter.name: {
             grade.value: {

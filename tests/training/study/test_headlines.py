@@ -48,6 +48,7 @@ def test_a_figure_of_a_chapter_becomes_a_headline_of_its_grade():
     assert "ideal.best.unseen_roads_mape" not in document["missing"]
     assert document["chapters"]["a"]["ideal"]["sizes"] == {"rows_count": 7}
     assert document["chapters"]["a"]["ideal"]["data_digests"] == {"paper ideal": "d"}
+    assert document["wall_s"] == 60
 
 
 def test_a_figure_that_is_no_number_counts_as_missing():
