@@ -52,7 +52,7 @@ class PoolingPolicy:
     typical_error_ratio: float = 0.05
     lowest_noise_ratio: float = 0.02
     highest_noise_ratio: float = 0.4
-    named_frac: float = 0.5
+    named_frac: float = 0.4
     outlier_frac: float = 0.05
     clip_frac: float = 0.02
     road_bias_ratio: float = 0.03
