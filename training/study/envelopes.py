@@ -28,8 +28,8 @@ MOST_ROWS_COUNT = 6000
 """Of known roads, and of random ones: a density of some thousand figures is not known better by more."""
 KNOWN_FLAGGED_FRAC = 0.01
 """Share of ordinary drives on known roads that may be called strange."""
-UNSEEN_FLAGGED_FRAC = 0.03
-"""The same on roads of which nothing was learned."""
+UNSEEN_FLAGGED_FRAC = 0.04
+"""The same on roads of which nothing was learned, by envelopes of fewer roads: with all of them it becomes less."""
 STRANGE_ROADS_FRAC = 0.01
 """Share of random roads that may be called strange."""
 ROAD_MARGIN_FRAC = 0.05

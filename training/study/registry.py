@@ -27,7 +27,19 @@ PART_TITLES: Mapping[Part, str] = MappingProxyType(
 # Modules of `training.study.PART`, each with a CHAPTER. Imported when they are asked for: some bring heavy libraries.
 CHAPTER_MODULES: Mapping[Part, tuple[str, ...]] = MappingProxyType(
     {
-        Part.PAPER: ("algorithms", "selection", "statistics", "local_global", "without"),
+        Part.PAPER: (
+            "algorithms",
+            "selection",
+            "statistics",
+            "local_global",
+            "interval_accuracy",
+            "without",
+            "manoeuvres",
+            "wear",
+            "published",
+            "drivers",
+            "sensitivity",
+        ),
         Part.GENERALISE: ("pooling", "liars", "change"),
     }
 )
