@@ -147,9 +147,9 @@ def export(
 
     trees = read_trees(fit_folder)
     runs = read_runs(data)
-    model = to_onnx(trees)
-    rows = parity_rows(runs.features[runs.usable], rng=np.random.default_rng(0))
-    difference_mu = check_parity(trees, model, rows)
+    model = to_onnx(trees, table=runs.table)
+    rows = parity_rows(runs.features[runs.usable], rng=np.random.default_rng(0), table=runs.table)
+    difference_mu = check_parity(trees, model, rows, table=runs.table)
     out.parent.mkdir(parents=True, exist_ok=True)
     out.write_bytes(model)
     if as_json:

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from roadgrip.features import PAPER_TABLE, Feature
+from roadgrip.features import NEWEST_TABLE, Feature
 
 EXTRA_COUNT = 45
 
 WIDER_TABLE = replace(
-    PAPER_TABLE,
+    NEWEST_TABLE,
     version=1000,
     kinematic=(
-        *PAPER_TABLE.kinematic,
+        *NEWEST_TABLE.kinematic,
         *(Feature(f"made_up_{i:02d}_ratio", "", -50.0, 50.0) for i in range(EXTRA_COUNT)),
     ),
 )
-"""100 kinematic features: as many as a summary may hold by the rule of at most six frames per exchange."""
+"""At least 100 kinematic features, as many as a summary may hold, and everything that older tables have."""

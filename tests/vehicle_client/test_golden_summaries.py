@@ -2,7 +2,7 @@
 
 import pytest
 
-from roadgrip.features import NEWEST_TABLE
+from roadgrip.features import PAPER_TABLE
 from tests.vehicle_client.golden_summaries import SIMULATED, SYNTHETIC, golden_values, summary_values
 
 WRITTEN = 1e-5
@@ -12,7 +12,7 @@ SIMULATED_TOLERANCE = 2e-3
 
 
 def names() -> list[str]:
-    return [feature.name for feature in NEWEST_TABLE.kinematic]
+    return [feature.name for feature in PAPER_TABLE.kinematic]
 
 
 def test_the_table_names_the_features_in_their_order():

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from roadgrip.features import NEWEST_TABLE, STATISTICS
+from roadgrip.features import PAPER_TABLE, STATISTICS, summary_for
 from roadgrip.units import FloatArray
 from tests.vehicle_client.synthetic import drive_over, fixes_of, negative, road, s_turn, surveyed, with_noise
 from vehicle_client.estimation.trace import Trace, mirrored, part_of
@@ -18,7 +18,7 @@ CLEAN, STATION = drive_over(s_turn, swing_mps=1.0, approach_m=300.0, exit_m=120.
 TRACE = with_noise(CLEAN, np.random.default_rng(2))
 ENTRY, EXIT = (int(np.searchsorted(STATION, at)) for at in (0.0, 400.0))
 SENSORS = ("accel_x_mps2", "accel_y_mps2", "roll_rate_radps", "yaw_rate_radps", "steer_rad")
-HAS_UNIT = np.array([bool(feature.unit) for feature in NEWEST_TABLE.kinematic]).reshape(5, -1)
+HAS_UNIT = np.array([bool(feature.unit) for feature in PAPER_TABLE.kinematic]).reshape(5, -1)
 """Skewness and kurtosis of a sideslip that is next to nothing are those of the noise."""
 
 
@@ -30,7 +30,7 @@ def made(trace: Trace, section=SECTION) -> Summarised:
 
 def table(trace: Trace, section=SECTION) -> FloatArray:
     """Return the summary, one signal a row: steering, sideslip, its rate, excess yaw rate, speed. (5, 11)"""
-    return np.array(made(trace, section).summary.values).reshape(5, -1)
+    return np.array(summary_for(made(trace, section).summary, PAPER_TABLE).values).reshape(5, -1)
 
 
 def moved(trace: Trace, *, reference: FloatArray) -> FloatArray:
@@ -63,7 +63,7 @@ def test_the_mirrored_drive_with_fixes_on_the_mirrored_road_has_the_mirrored_sum
     partner |= {other: one for one, other in partner.items()}
     swapped = [STATISTICS.index(partner.get(name, name)) for name in STATISTICS]
     sign = np.where(np.isin(STATISTICS, ["std", "kurtosis"]), 1.0, -1.0)
-    seen, mirror = (np.array(one.summary.values).reshape(5, -1) for one in (here, there))
+    seen, mirror = (np.array(summary_for(one.summary, PAPER_TABLE).values).reshape(5, -1) for one in (here, there))
     assert np.allclose(mirror[:4], sign * seen[:4, swapped], rtol=0.0, atol=1e-9)
     assert np.allclose(mirror[4], seen[4], rtol=0.0, atol=1e-9)
     assert there.summary.quality == here.summary.quality

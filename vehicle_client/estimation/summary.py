@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from roadgrip.features import NEWEST_TABLE, statistics_of
+from roadgrip.features import PAPER_TABLE, statistics_of
 from roadgrip.records import KinematicSummary, QualityFlag
 
 if TYPE_CHECKING:
@@ -44,13 +44,19 @@ class KinematicSignals:
 
 
 def kinematic_summary(
-    signals: KinematicSignals, inside: BoolArray, *, duration_s: float, quality: QualityFlag = QualityFlag.NONE
+    signals: KinematicSignals,
+    inside: BoolArray,
+    *,
+    grip: FloatArray,
+    duration_s: float,
+    quality: QualityFlag = QualityFlag.NONE,
 ) -> KinematicSummary:
-    """Return the summary of the bag of samples inside the section; their order does not matter.
+    """Return the summary: statistics of the bag of samples inside the section, whatever their order, and the grip.
 
     Args:
         signals: Over the whole trace.
         inside: True for the samples that count, at least one. (n,)
+        grip: The grip features (`vehicle_client.estimation.grip`).
         duration_s: Time between the two ends of the section.
         quality: What the vehicle says about it.
 
@@ -64,7 +70,7 @@ def kinematic_summary(
         signals.yaw_rate_excess_radps,
         signals.speed_mps,
     )
-    values = np.concatenate([statistics_of(bag[inside]) for bag in bags])
+    values = np.concatenate([*(statistics_of(bag[inside]) for bag in bags), grip])
     return KinematicSummary(
         values=tuple(values.tolist()), table_digest=NEWEST_TABLE.digest, duration_s=duration_s, quality=quality
     )

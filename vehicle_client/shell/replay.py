@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from roadgrip.features import NEWEST_TABLE
+from roadgrip.features import TABLES
 from roadgrip.records import PASSAGE_ID_BYTES, Accepted, Reason, Rejected
 from roadgrip.units import mps_to_kph
 from vehicle_client.pipeline import Summarised, summarise_passage
@@ -192,7 +192,7 @@ def replay_table(replay: Replay) -> Table:
     )
     table.add_row("inside the section", f"from {match.entry_s:.2f} to {match.exit_s:.2f} s of the recording")
     table.add_row("quality", ", ".join(_quality_names(made)) or "nothing to remark")
-    values = dict(zip((f.name for f in NEWEST_TABLE.kinematic), made.summary.values, strict=True))
+    values = dict(zip((f.name for f in TABLES[made.summary.table_digest].kinematic), made.summary.values, strict=True))
     for name in SHOWN:
         table.add_row(name, _readable(name, values[name]))
     table.add_row("summary", f"{len(values)} numbers, feature table {made.summary.table_digest} (all with --json)")
@@ -210,7 +210,10 @@ def made_to_json(made: Summarised | Rejected) -> dict[str, Any]:
     if isinstance(made, Rejected):
         return {"refusal": {"reason": made.reason.value, "detail": made.detail}}
     return {
-        "values": {f.name: value for f, value in zip(NEWEST_TABLE.kinematic, made.summary.values, strict=True)},
+        "values": {
+            f.name: value
+            for f, value in zip(TABLES[made.summary.table_digest].kinematic, made.summary.values, strict=True)
+        },
         "table_digest": made.summary.table_digest,
         "duration_s": made.summary.duration_s,
         "quality": _quality_names(made),
