@@ -11,6 +11,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from training.cli_designs import AsJson, console
 from training.code_identity import code_digest
@@ -248,8 +249,8 @@ def _print_findings(findings: Sequence[Finding]) -> None:
     Console().print(table)
     for finding in findings:
         for line in finding.defects:
-            console.print(f"[red]defect[/red] {line}", highlight=False, soft_wrap=True)
+            console.print(Text.assemble(("defect", "red"), f" {line}"), highlight=False, soft_wrap=True)
 
 
 def _warn(text: str) -> None:
-    console.print(f"[yellow]{text}[/yellow]", highlight=False, soft_wrap=True)
+    console.print(Text(text, "yellow"), highlight=False, soft_wrap=True)

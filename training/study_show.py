@@ -9,6 +9,7 @@ from typing import Self
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+from rich.text import Text
 
 from roadgrip.errors import ConfigurationError
 from training.study.finding import Computed, Finding
@@ -86,7 +87,9 @@ class StudyShow:
         path = folder / f"{what.replace(', ', '-').replace(' ', '-')}.txt"
         path.write_text(details, encoding="utf-8")
         reason = details.strip().splitlines()[-1]
-        self._console.print(f"[red]failed[/red] {what}: ", reason, f"(more in {path})", highlight=False, soft_wrap=True)
+        # As text: what stands in brackets in an error is no colour.
+        line = Text.assemble(("failed", "red"), f" {what}: {reason} (more in {path})")
+        self._console.print(line, highlight=False, soft_wrap=True)
 
     def found(self, finding: Finding) -> None:
         """Write the chapter's files, and record it."""

@@ -25,7 +25,7 @@ class Chapters:
     def chapter(self, name: str):
         def compute(bench, grade: SensorGrade) -> Result:
             if self.fail:
-                raise ValueError("no such luck")
+                raise ValueError("no such luck [/red]")
             bench.report("folding", 1, 2)
             self.computed.append(f"{name} {grade.value} {'quick' if bench.quick else 'full'}")
             return fake_result()
@@ -87,10 +87,10 @@ def test_a_chapter_that_fails_is_named_and_the_command_says_so(chapters, tmp_pat
     chapters.fail = True
     result = invoke("paper", *QUIET)
     assert result.exit_code == 1
-    assert "no such luck" in result.output
+    assert "no such luck [/red]" in result.output
     assert "no such luck" in (tmp_path / "build/study/failures/one-ideal-sensors.txt").read_text(encoding="utf-8")
     summary = json.loads((tmp_path / "docs/results/study/summary.json").read_text(encoding="utf-8"))
-    assert "one, ideal: ValueError: no such luck" in summary["defects"]
+    assert "one, ideal: ValueError: no such luck [/red]" in summary["defects"]
 
 
 def test_a_plan_alone_does_nothing(chapters, tmp_path):
