@@ -37,8 +37,8 @@ CHAPTER_MODULES: Mapping[Part, tuple[str, ...]] = MappingProxyType(
             "manoeuvres",
             "wear",
             "published",
-            "drivers",
             "sensitivity",
+            "drivers",
         ),
         Part.GENERALISE: ("pooling", "liars", "change"),
     }
