@@ -196,10 +196,51 @@ PAPER_TABLE = FeatureTable(
 )
 """The paper's features: 55 that the vehicle sends, 23 of the road."""
 
-TABLES: Mapping[str, FeatureTable] = {table.digest: table for table in (PAPER_TABLE,)}
+GRIP_SHAPES: Mapping[str, tuple[float, ...]] = {
+    "all": (0.5, 2.0, 8.0),
+    "steering": (0.5, 2.0, 8.0),
+    "drift": (0.5, 2.0),
+    "wheels": (0.5, 2.0),
+}
+"""Falls of the log-likelihood of friction whose distances are told, by what the likelihood goes by: all channels
+together, the steering angle, the lateral velocity, the wheel speeds. One, two and four deviations of a Gaussian."""
+GRIP_DEMAND_LEVELS_FRAC = (0.5, 0.8, 0.95, 1.0)
+PROFILE_FRICTIONS_MU = (0.12, 0.15, 0.18, 0.22, 0.27, 0.33, 0.40, 0.47, 0.55, 0.65, 0.80, 1.00)
+"""At which frictions the likelihood of all channels together is told, so that profiles of many vehicles add up."""
+PROFILE_FLOOR = -40.0
+"""Log-likelihoods below it are told as it."""
+MISFIT_LIMIT = 1000.0
+"""Per sample; more is no likelier to mean anything."""
+_WIDEST = 5.0
+"""In natural logarithms of friction: wider than any grid of frictions."""
+
+
+def _grip_features() -> tuple[Feature, ...]:
+    features = []
+    for name, drops in GRIP_SHAPES.items():
+        features.append(Feature(f"grip_{name}_best_mu", "mu", 0.0, 2.0))
+        for side in ("below", "above"):
+            features += [Feature(f"grip_{name}_{side}_{drop:g}_ratio", "ratio", 0.0, _WIDEST) for drop in drops]
+        features.append(Feature(f"grip_{name}_misfit_ratio", "ratio", 0.0, MISFIT_LIMIT))
+    features += [Feature(f"grip_profile_{mu:.2f}_ratio", "ratio", PROFILE_FLOOR, 0.0) for mu in PROFILE_FRICTIONS_MU]
+    features += [Feature(f"demand_q{100 * level:.0f}_mu", "mu", 0.0, 10.0) for level in GRIP_DEMAND_LEVELS_FRAC]
+    features += [
+        Feature("force_y_max_mps2", "mps2", 0.0, 40.0),
+        Feature("force_y_mean_mps2", "mps2", 0.0, 40.0),
+        Feature("force_x_min_mps2", "mps2", -40.0, 40.0),
+        Feature("force_x_max_mps2", "mps2", -40.0, 40.0),
+        Feature("yaw_rate_max_radps", "radps", 0.0, 6.0),
+    ]
+    return tuple(features)
+
+
+GRIP_TABLE = FeatureTable(version=2, kinematic=PAPER_TABLE.kinematic + _grip_features(), road=PAPER_TABLE.road)
+"""The paper's features, and what a model of two axles makes of the drive (`vehicle_client.estimation.grip`)."""
+
+TABLES: Mapping[str, FeatureTable] = {table.digest: table for table in (PAPER_TABLE, GRIP_TABLE)}
 """The tables this software speaks, by digest, oldest first."""
 
-NEWEST_TABLE = PAPER_TABLE
+NEWEST_TABLE = GRIP_TABLE
 """What the vehicle client makes and the laboratory learns from."""
 
 FEATURE_NAMES = NEWEST_TABLE.names

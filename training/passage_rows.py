@@ -15,12 +15,17 @@ from roadgrip.units import SAMPLE_S, BoolArray, FloatArray
 from training.dataset import COMPLETED, LABEL_COLUMNS, Runs, joined
 from training.scenarios import Design, Run, Scenario, surveyed_map
 from training.schedule import Shard, inside_quota, runs_of
+from vehicle_client.estimation.grip.noise import AUTOMOTIVE_NOISE, IDEAL_NOISE
 from vehicle_client.pipeline import summarise_passage
 from vehicle_client.simulator.drive import Drive
+from vehicle_client.simulator.plan import SensorGrade
 from vehicle_client.simulator.run import each_passage
 
 BATCH_RUNS_COUNT = 32
 """Drives that are summarised together; their full histories are in memory at once, about 2 MB each."""
+
+DECLARED_NOISE = {SensorGrade.AUTOMOTIVE: AUTOMOTIVE_NOISE, SensorGrade.IDEAL: IDEAL_NOISE}
+"""What a vehicle's maker says of its sensors."""
 
 WatchDrives = Callable[[Sequence[Run], Sequence[Drive]], None]
 
@@ -127,7 +132,13 @@ def _summarised(run: Run, drive: Drive, road_map: RoadSection) -> tuple[FloatArr
     nothing = np.full(len(NEWEST_TABLE.kinematic), np.nan)
     if not drive.completed:
         return nothing, drive.outcome.value
-    result = summarise_passage(drive.trace, road_map, vehicle=run.geometry)
+    result = summarise_passage(
+        drive.trace,
+        road_map,
+        vehicle=run.geometry,
+        handling=run.handling,
+        noise=DECLARED_NOISE[run.plan.sensor_grade],
+    )
     if isinstance(result, Rejected):
         return nothing, f"rejected_{result.reason.value}"
     return np.array(result.summary.values), COMPLETED

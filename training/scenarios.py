@@ -16,6 +16,7 @@ from roadgrip.section import RoadSection
 from training.advice_following import draw_advised_plan
 from training.friction_profiles import two_frictions
 from training.manoeuvres import StraightCase, draw_extreme_plan, draw_straight_plan
+from vehicle_client.estimation.handling import XC90_HANDLING, Handling
 from vehicle_client.estimation.vehicle_geometry import XC90 as XC90_GEOMETRY
 from vehicle_client.estimation.vehicle_geometry import VehicleGeometry
 from vehicle_client.simulator.amplitudes import SENSORS, scaled
@@ -28,7 +29,7 @@ from vehicle_client.simulator.plan import (
     SensorGrade,
     draw_plan,
 )
-from vehicle_client.simulator.variation import draw_vehicle, geometry_of
+from vehicle_client.simulator.variation import draw_vehicle, geometry_of, handling_of
 from vehicle_client.simulator.vehicle import XC90, Vehicle
 
 WITH_GNSS_FRAC = 0.75
@@ -166,12 +167,14 @@ class Run:
         number: Which attempt of its cell it is, from 0.
         plan: What is driven.
         geometry: What the car's onboard client knows of it.
+        handling: What is declared to it of masses, springs and tyres.
     """
 
     key: str
     number: int
     plan: PassagePlan
     geometry: VehicleGeometry
+    handling: Handling
 
 
 def run_of(terms: Terms, scenario: Scenario, *, base_friction_mu: float, number: int) -> Run:
@@ -185,12 +188,12 @@ def run_of(terms: Terms, scenario: Scenario, *, base_friction_mu: float, number:
     """
     key = f"{terms.design_name}/{scenario.name}/{base_friction_mu:.2f}/{number:05d}"
     drawn_as = f"{terms.design_name}/{scenario.drawn_as or scenario.name}/{base_friction_mu:.2f}/{number:05d}"
-    vehicle, geometry = XC90, XC90_GEOMETRY
+    vehicle, geometry, handling = XC90, XC90_GEOMETRY, XC90_HANDLING
     if scenario.varied_vehicles:
         vehicle = draw_vehicle(chance(terms.seed, f"{drawn_as}|vehicle"))
-        geometry = geometry_of(vehicle)
+        geometry, handling = geometry_of(vehicle), handling_of(vehicle)
     plan = _plan(chance(terms.seed, drawn_as), terms, scenario, base_friction_mu=base_friction_mu, vehicle=vehicle)
-    return Run(key, number, replace(plan, scales=terms.scales), geometry)
+    return Run(key, number, replace(plan, scales=terms.scales), geometry, handling)
 
 
 def _plan(

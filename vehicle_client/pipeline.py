@@ -9,11 +9,20 @@ import numpy as np
 
 from roadgrip.records import KinematicSummary, QualityFlag, Reason, Rejected
 from vehicle_client.estimation.gaps import believable, bridged, longest_gap_s, missing_frac
+from vehicle_client.estimation.grip.evidence import grip_evidence
+from vehicle_client.estimation.grip.motion import motion_over
+from vehicle_client.estimation.grip.noise import AUTOMOTIVE_NOISE, GripNoise
+from vehicle_client.estimation.handling import XC90_HANDLING, Handling
 from vehicle_client.estimation.mounting import in_car_axes
 from vehicle_client.estimation.observer import XC90_PARAMETERS, ObserverParameters
 from vehicle_client.estimation.offsets import SensorOffsets, sensor_offsets
 from vehicle_client.estimation.plausibility import Sensor, findings
-from vehicle_client.estimation.signals import kinematic_signals, unmapped_speed_mps, unmapped_velocity_y_mps
+from vehicle_client.estimation.signals import (
+    inertial_signals,
+    kinematic_signals,
+    unmapped_speed_mps,
+    unmapped_velocity_y_mps,
+)
 from vehicle_client.estimation.summary import KinematicSignals, kinematic_summary
 from vehicle_client.estimation.vehicle_geometry import XC90, VehicleGeometry
 from vehicle_client.estimation.vertical import vertical_velocity_mps
@@ -63,6 +72,8 @@ def summarise_passage(
     *,
     vehicle: VehicleGeometry = XC90,
     parameters: ObserverParameters = XC90_PARAMETERS,
+    handling: Handling = XC90_HANDLING,
+    noise: GripNoise = AUTOMOTIVE_NOISE,
 ) -> Summarised | Rejected:
     """Return what a vehicle makes of one drive over a section, or why it keeps it to itself.
 
@@ -76,6 +87,8 @@ def summarise_passage(
         section: The map from the road side unit.
         vehicle: The own car.
         parameters: Constants of the estimation.
+        handling: What is declared of its masses, springs and tyres.
+        noise: What is declared of its sensors.
 
     Raises:
         TraceError: The trace's arrays do not fit each other.
@@ -122,9 +135,21 @@ def summarise_passage(
         trace, section, station_m=match.station_m, vehicle=vehicle, parameters=parameters, offsets=offsets
     )
     counted = inside & valid
+    motion = motion_over(
+        section,
+        inertial_signals(trace, vehicle, offsets, parameters),
+        station_m=match.station_m,
+        inside=inside,
+        speed_mps=signals.speed_mps,
+        steer_rad=trace.steer_rad - offsets.steer_rad,
+        wheel_speed_mps=trace.wheel_speed_mps,
+        handling=handling,
+        level_gain_ratio=noise.level_gain_ratio,
+    )
     summary = kinematic_summary(
         signals,
         counted,
+        grip=grip_evidence(motion, handling=handling, geometry=vehicle, noise=noise),
         duration_s=match.exit_s - match.entry_s,
         quality=_quality(
             trace,

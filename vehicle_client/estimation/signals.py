@@ -53,7 +53,7 @@ def kinematic_signals(
     profile = section.profile
     bank = np.arctan(np.interp(station_m, profile.station_m, profile.cross_slope_ratio))
     climb = np.arctan(np.interp(station_m, profile.station_m, profile.grade_ratio))
-    measured = _inertial(trace, vehicle, offsets, parameters)
+    measured = inertial_signals(trace, vehicle, offsets, parameters)
     return _signals(
         trace, measured, bank, climb, vehicle=vehicle, parameters=parameters, steer_offset_rad=offsets.steer_rad
     )
@@ -94,7 +94,7 @@ def unmapped_velocity_y_mps(
     if "accel_y_mps2" in trace.absent:
         return None
     level = np.zeros_like(trace.time_s)
-    measured = _inertial(trace, vehicle, NO_OFFSETS, parameters)
+    measured = inertial_signals(trace, vehicle, NO_OFFSETS, parameters)
     estimated = _signals(
         trace, measured, level, level, vehicle=vehicle, parameters=parameters, steer_offset_rad=NO_OFFSETS.steer_rad
     )
@@ -171,10 +171,17 @@ def _signals(
     )
 
 
-def _inertial(
+def inertial_signals(
     trace: Trace, vehicle: VehicleGeometry, offsets: SensorOffsets, parameters: ObserverParameters
 ) -> InertialSignals:
-    """Return what sensors without offsets would have sensed at the centre of gravity."""
+    """Return what sensors without offsets would have sensed at the centre of gravity.
+
+    Args:
+        trace: Without gaps (bridged), in the car's axes (`in_car_axes`).
+        vehicle: The own car.
+        offsets: To subtract from the sensors.
+        parameters: Which filter smooths.
+    """
     signals = InertialSignals(
         accel_x_mps2=trace.accel_x_mps2 - offsets.accel_x_mps2,
         accel_y_mps2=trace.accel_y_mps2 - offsets.accel_y_mps2,

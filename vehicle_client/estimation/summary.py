@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from roadgrip.features import PAPER_TABLE, statistics_of
+from roadgrip.features import NEWEST_TABLE, statistics_of
 from roadgrip.records import KinematicSummary, QualityFlag
 
 if TYPE_CHECKING:

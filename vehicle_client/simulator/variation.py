@@ -22,6 +22,7 @@ from typing import NamedTuple
 import numpy as np
 
 from roadgrip.units import GRAVITY_MPS2, deg_to_rad
+from vehicle_client.estimation.handling import Handling, TyreCurve
 from vehicle_client.estimation.vehicle_geometry import VehicleGeometry
 from vehicle_client.simulator.driver import understeer_gradient_s2pm
 from vehicle_client.simulator.vehicle import XC90, Tyre, Vehicle
@@ -178,6 +179,44 @@ def geometry_of(vehicle: Vehicle) -> VehicleGeometry:
         wheelbase_m=vehicle.wheelbase_m,
         track_m=0.5 * (vehicle.front_track_m + vehicle.rear_track_m),
         front_axle_m=vehicle.front_axle_m,
+    )
+
+
+def handling_of(vehicle: Vehicle) -> Handling:
+    """Return what a maker who knows the car exactly declares to its client: the best case of declared constants."""
+    tyre = vehicle.tyre
+    mass, wheelbase = vehicle.mass_kg, vehicle.wheelbase_m
+    front_frac = vehicle.rear_axle_m / wheelbase
+    arm_m = vehicle.cog_height_m - (
+        vehicle.front_roll_centre_m * front_frac + vehicle.rear_roll_centre_m * (1.0 - front_frac)
+    )
+    lean_s2pm = mass * arm_m / (vehicle.roll_stiffness_nmprad - mass * GRAVITY_MPS2 * arm_m)
+    rolled_m = vehicle.roll_stiffness_nmprad * lean_s2pm / mass
+    share = vehicle.front_roll_stiffness_frac
+    return Handling(
+        mass_kg=mass,
+        yaw_inertia_kgm2=vehicle.yaw_inertia_kgm2,
+        cog_height_m=vehicle.cog_height_m,
+        front_transfer_height_m=share * rolled_m + front_frac * vehicle.front_roll_centre_m,
+        rear_transfer_height_m=(1.0 - share) * rolled_m + (1.0 - front_frac) * vehicle.rear_roll_centre_m,
+        roll_gradient_s2pm=lean_s2pm,
+        pitch_gradient_s2pm=vehicle.pitch_per_accel_s2pm_ratio,
+        drag_kgpm=vehicle.drag_npm2ps2_ratio,
+        front_drive_frac=vehicle.front_drive_frac,
+        front_brake_frac=vehicle.front_brake_frac,
+        engine_brake_mps2=vehicle.engine_brake_mps2,
+        steer_compliance_radpn=vehicle.steer_compliance_radpn,
+        tyre=TyreCurve(
+            nominal_load_n=tyre.nominal_load_n,
+            stiffness_ratio=tyre.slope_y1_ratio,
+            stiffness_twice_ratio=tyre.slope_y2_ratio,
+            peak_twice_ratio=tyre.peak_y2_ratio / tyre.peak_y1_ratio,
+            peak_slip_ratio=tyre.peak_slip_y1_ratio / tyre.peak_y1_ratio,
+            peak_slip_twice_ratio=tyre.peak_slip_y2_ratio / tyre.peak_y1_ratio,
+            along_stiffness_ratio=tyre.slope_x1_ratio,
+            relaxation_m=0.5 * tyre.slope_y1_ratio * tyre.nominal_load_n / tyre.stiffness_y_npm,
+            rolling_resistance_ratio=tyre.rolling_resistance_ratio,
+        ),
     )
 
 
