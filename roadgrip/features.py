@@ -220,9 +220,14 @@ def _grip_features() -> tuple[Feature, ...]:
     for name, drops in GRIP_SHAPES.items():
         features.append(Feature(f"grip_{name}_best_mu", "mu", 0.0, 2.0))
         for side in ("below", "above"):
-            features += [Feature(f"grip_{name}_{side}_{drop:g}_ratio", "ratio", 0.0, _WIDEST) for drop in drops]
+            features += [
+                Feature(f"grip_{name}_{side}_{(2.0 * drop) ** 0.5:.0f}sd_ratio", "ratio", 0.0, _WIDEST)
+                for drop in drops
+            ]
         features.append(Feature(f"grip_{name}_misfit_ratio", "ratio", 0.0, MISFIT_LIMIT))
-    features += [Feature(f"grip_profile_{mu:.2f}_ratio", "ratio", PROFILE_FLOOR, 0.0) for mu in PROFILE_FRICTIONS_MU]
+    features += [
+        Feature(f"grip_profile_{100 * mu:.0f}_ratio", "ratio", PROFILE_FLOOR, 0.0) for mu in PROFILE_FRICTIONS_MU
+    ]
     features += [Feature(f"demand_q{100 * level:.0f}_mu", "mu", 0.0, 10.0) for level in GRIP_DEMAND_LEVELS_FRAC]
     features += [
         Feature("force_y_max_mps2", "mps2", 0.0, 40.0),
