@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Sequence
 
-from roadgrip.features import NEWEST_TABLE, PAPER_TABLE, STATISTICS
+from roadgrip.features import PAPER_TABLE, STATISTICS
 from roadgrip.units import FloatArray
 from training.dataset import Runs
 
@@ -48,9 +48,9 @@ SPEED_FEATURES: tuple[str, ...] = tuple(name for name in PAPER_FEATURES if signa
 
 
 def columns_by_name(runs: Runs, names: Sequence[str]) -> FloatArray:
-    """Return some features of all runs, in the order of the names. (runs, names)
+    """Return some features of all runs, in the order of the names, whichever table the runs are of. (runs, names)
 
     Raises:
         FeatureTableError: There is no such feature.
     """
-    return runs.features[:, NEWEST_TABLE.columns(names)]
+    return runs.columns(names)

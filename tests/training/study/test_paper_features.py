@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from roadgrip.errors import FeatureTableError
+from roadgrip.features import PAPER_TABLE
 from tests.training.runs import made_up_runs
 from training.study.paper_features import (
     KINEMATIC_FEATURES,
@@ -54,6 +55,13 @@ def test_columns_come_in_the_order_of_the_names():
     names = (PAPER_FEATURES[5], PAPER_FEATURES[2])
     chosen = columns_by_name(runs, names)
     assert np.array_equal(chosen[0], [runs.features[0, 5], runs.features[0, 2]])
+
+
+def test_names_mean_the_same_columns_in_runs_of_every_table():
+    newest = made_up_runs(20)
+    names = (PAPER_FEATURES[-1], PAPER_FEATURES[0])
+    of_the_paper = newest.for_table(PAPER_TABLE)
+    assert np.array_equal(columns_by_name(newest, names), columns_by_name(of_the_paper, names), equal_nan=True)
 
 
 def test_a_feature_that_is_not_in_the_table_is_named():
