@@ -18,7 +18,7 @@ from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from roadgrip.bundle import Envelope
 from roadgrip.units import BoolArray, FloatArray
-from rsu_app.domain.envelope import DrivingEnvelope, is_strange, prepared, strangeness_level
+from rsu_app.domain.envelope import DrivingEnvelope, is_strange, prepared, scaled_ratio, strangeness_level
 from training.bundling import ROUNDING_RATIO
 
 KINDS_COUNT = 4
@@ -34,11 +34,10 @@ STRANGE_ROADS_FRAC = 0.01
 """Share of random roads that may be called strange."""
 ROAD_MARGIN_FRAC = 0.05
 """Share of a feature's span by which a road may lie outside of those that were learned from."""
-SCALED_CUT_RATIO = 8.0
-_SPREAD_TAIL_FRAC = 0.05
-_SPREAD_OF_NORMAL_RATIO = 3.29
-"""Distance of the 5 and 95 % quantiles of a normal distribution in standard deviations."""
-_FLOOR_RATIO2 = 0.05
+SCALED_CUT_RATIO = 5.0
+_SCALE_TAIL_FRAC = 0.05
+"""Features are scaled so that all but these shares of the drives lie within -1 and 1."""
+_FLOOR_RATIO2 = 0.02
 """Added to every variance of scaled features, so that no kind is flat in any direction."""
 
 
@@ -47,21 +46,21 @@ class Ordinary:
     """Drives to learn an envelope from.
 
     Attributes:
-        known: Features of drives on roads whose next drives are to be ordinary. (n, features)
-        unseen: Features of drives on many roads that stand for any other. (m, features)
+        known_rows: Features of drives on roads whose next drives are to be ordinary. (n, features)
+        unseen_rows: Features of drives on many roads that stand for any other. (m, features)
         unseen_road: The road of each of those. (m,)
         feature_names: Of the columns.
     """
 
-    known: FloatArray
-    unseen: FloatArray
+    known_rows: FloatArray
+    unseen_rows: FloatArray
     unseen_road: tuple[str, ...]
     feature_names: tuple[str, ...]
 
     def columns(self, names: Sequence[str]) -> Ordinary:
         """Return the same drives with some of their features."""
         places = [self.feature_names.index(name) for name in names]
-        return Ordinary(self.known[:, places], self.unseen[:, places], self.unseen_road, tuple(names))
+        return Ordinary(self.known_rows[:, places], self.unseen_rows[:, places], self.unseen_road, tuple(names))
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,28 +107,28 @@ def learn_whole_envelope(
     roads = drives.columns(road_columns)
     return WholeEnvelope(
         road_columns=tuple(road_columns),
-        road=learn_road_box(np.unique(roads.known, axis=0), np.unique(roads.unseen, axis=0), seed=seed),
+        road=learn_road_box(np.unique(roads.known_rows, axis=0), np.unique(roads.unseen_rows, axis=0), seed=seed),
         driving=learn_driving_envelope(drives.columns(driving_columns), seed=seed),
     )
 
 
-def learn_road_box(known: FloatArray, random: FloatArray, *, seed: int) -> Envelope:
+def learn_road_box(known_rows: FloatArray, random_rows: FloatArray, *, seed: int) -> Envelope:
     """Return the box that all given roads lie in, and how many features of another may lie outside of it.
 
     The number allowed is the smallest with which boxes of other random roads call at most `STRANGE_ROADS_FRAC` of
     the random ones strange.
 
     Args:
-        known: Features of known roads, one row a road. (n, features)
-        random: Features of random roads, at least `FOLDS_COUNT`. (m, features)
+        known_rows: Features of known roads, one row a road. (n, features)
+        random_rows: Features of random roads, at least `FOLDS_COUNT`. (m, features)
         seed: Deals folds.
     """
-    fold = np.random.default_rng(seed).permutation(np.arange(len(random)) % FOLDS_COUNT)
-    outside_count = np.zeros(len(random), dtype=np.intp)
+    fold = np.random.default_rng(seed).permutation(np.arange(len(random_rows)) % FOLDS_COUNT)
+    outside_count = np.zeros(len(random_rows), dtype=np.intp)
     for k in range(FOLDS_COUNT):
-        lower, upper = _edges(np.concatenate([known, random[fold != k]]))
-        outside_count[fold == k] = ((random[fold == k] < lower) | (random[fold == k] > upper)).sum(axis=1)
-    lower, upper = _edges(np.concatenate([known, random]))
+        lower, upper = _edges(np.concatenate([known_rows, random_rows[fold != k]]))
+        outside_count[fold == k] = ((random_rows[fold == k] < lower) | (random_rows[fold == k] > upper)).sum(axis=1)
+    lower, upper = _edges(np.concatenate([known_rows, random_rows]))
     allowed_count = int(np.quantile(outside_count, 1.0 - STRANGE_ROADS_FRAC, method="higher"))
     return Envelope(tuple(lower.tolist()), tuple(upper.tolist()), allowed_count)
 
@@ -152,8 +151,8 @@ def learn_driving_envelope(drives: Ordinary, *, seed: int) -> DrivingEnvelope:
         seed: As for `learn_whole_envelope`.
     """
     rng = np.random.default_rng(seed)
-    known, unseen = _some(len(drives.known), rng), _some(len(drives.unseen), rng)
-    known_values, unseen_values = drives.known[known], drives.unseen[unseen]
+    known, unseen = _some(len(drives.known_rows), rng), _some(len(drives.unseen_rows), rng)
+    known_values, unseen_values = drives.known_rows[known], drives.unseen_rows[unseen]
     road = np.array(drives.unseen_road)[unseen]
     names = rng.permutation(sorted(set(road.tolist())))
     fold_of_road = {name: i % FOLDS_COUNT for i, name in enumerate(names.tolist())}
@@ -178,10 +177,10 @@ def _some(count: int, rng: np.random.Generator) -> np.ndarray[tuple[int], np.dty
 
 
 def _mixture(values: FloatArray, columns: tuple[str, ...], *, limit_level: float, seed: int) -> DrivingEnvelope:
-    low, center, high = np.quantile(values, [_SPREAD_TAIL_FRAC, 0.5, 1.0 - _SPREAD_TAIL_FRAC], axis=0)
+    lower, upper = np.quantile(values, [_SCALE_TAIL_FRAC, 1.0 - _SCALE_TAIL_FRAC], axis=0)
     # A feature that hardly ever changes is taken in its own unit.
-    spread = np.where(high > low, (high - low) / _SPREAD_OF_NORMAL_RATIO, 1.0)
-    scaled = np.clip((values - center) / spread, -SCALED_CUT_RATIO, SCALED_CUT_RATIO)
+    lower, upper = np.where(upper > lower, [lower, upper], [lower - 1.0, upper + 1.0])
+    scaled = np.clip(scaled_ratio(values, lower=lower, upper=upper), -SCALED_CUT_RATIO, SCALED_CUT_RATIO)
     # Matrices this small keep many threads waiting for each other, for twenty times the processor's time.
     with threadpool_limits(limits=1):
         mixture = GaussianMixture(KINDS_COUNT, reg_covar=_FLOOR_RATIO2, random_state=seed).fit(scaled)
@@ -189,8 +188,8 @@ def _mixture(values: FloatArray, columns: tuple[str, ...], *, limit_level: float
     whitening = np.swapaxes(mixture.precisions_cholesky_, 1, 2)
     return DrivingEnvelope(
         columns=columns,
-        center=tuple(center.tolist()),
-        spread=tuple(spread.tolist()),
+        lower=tuple(lower.tolist()),
+        upper=tuple(upper.tolist()),
         cut_ratio=SCALED_CUT_RATIO,
         share_frac=tuple(mixture.weights_.tolist()),
         middle_ratio=tuple(tuple(row) for row in mixture.means_.tolist()),

@@ -1,6 +1,7 @@
 """The driving envelope: the density is that of a mixture, and what lies far from all kinds is strange."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,8 +13,8 @@ from rsu_app.domain.envelope import DrivingEnvelope, is_strange, prepared, stran
 NAMES = ("other", "a", "b")
 ONE = DrivingEnvelope(
     columns=("b", "a"),
-    center=(1.0, -2.0),
-    spread=(0.5, 4.0),
+    lower=(0.5, -6.0),
+    upper=(1.5, 2.0),
     cut_ratio=10.0,
     share_frac=(1.0,),
     middle_ratio=((0.0, 0.0),),
@@ -79,8 +80,8 @@ def test_what_is_beyond_measure_is_strange_and_finite():
 @pytest.mark.parametrize(
     "change",
     [
-        {"center": (1.0,)},
-        {"spread": (0.5, 0.0)},
+        {"lower": (1.0,)},
+        {"upper": (1.5, -6.0)},
         {"share_frac": (0.0,)},
         {"middle_ratio": ((0.0, np.nan),)},
         {"whitening_ratio": (((1.0, 0.0), (0.0, 0.0)),)},
@@ -88,6 +89,6 @@ def test_what_is_beyond_measure_is_strange_and_finite():
         {"columns": ()},
     ],
 )
-def test_a_record_that_contradicts_itself_is_refused(change: dict):
+def test_a_record_that_contradicts_itself_is_refused(change: dict[str, Any]):
     with pytest.raises(ValueError, match=r"."):
         replace(ONE, **change)

@@ -30,8 +30,8 @@ def drives() -> Ordinary:
     roads = rng.uniform(-2.0, 2.0, (80, 2))
     number = np.repeat(np.arange(80), 10)
     return Ordinary(
-        known=rows_of(rng, 600),
-        unseen=rows_of(rng, 800, road=roads[number]),
+        known_rows=rows_of(rng, 600),
+        unseen_rows=rows_of(rng, 800, road=roads[number]),
         unseen_road=tuple(f"road-{i}" for i in number),
         feature_names=NAMES,
     )
