@@ -119,7 +119,8 @@ def test_a_law_that_holds_everywhere_is_found_on_unseen_roads_too() -> None:
 def test_a_law_that_every_road_has_for_itself_is_not() -> None:
     runs = on_many_roads(made_up_runs(1500), roads_count=15)
     road = np.array([int(name[-2:]) for name in runs.section_id])
-    features = np.column_stack([road.astype(float), np.random.default_rng(0).normal(size=(1500, 77))])
+    noise = np.random.default_rng(0).normal(size=runs.features[:, 1:].shape)
+    features = np.column_stack([road.astype(float), noise])
     label_mu = 0.2 + 0.5 * np.random.default_rng(1).permutation(15)[road] / 15
     own = replace(runs, features=features, labels={**runs.labels, "label_mu": label_mu})
     assert fit(own, QUICK).metrics["mape_ratio"] < 0.15
