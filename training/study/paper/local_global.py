@@ -40,7 +40,7 @@ PAPER_RELATIVE_RMS = 0.05
 MARGINAL_RATIO = 1.5
 """The paper's own worst errors, 3 and 2 %, differ by this factor and are called marginally different."""
 FRICTION_BAND_MU = 0.05
-RESIDUAL_EDGES = np.linspace(-15.0, 15.0, 31)
+RESIDUAL_EDGES = np.linspace(-30.0, 30.0, 31)
 """In per cent of the truth."""
 
 
