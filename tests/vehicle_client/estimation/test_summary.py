@@ -6,11 +6,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from roadgrip.features import PAPER_TABLE, STATISTICS
+from roadgrip.features import NEWEST_TABLE, PAPER_TABLE, STATISTICS, summary_for
 from roadgrip.records import QualityFlag
 from vehicle_client.estimation.summary import KinematicSignals, kinematic_summary
 
 N = 400
+GRIP = np.linspace(0.1, 0.2, len(NEWEST_TABLE.kinematic) - len(PAPER_TABLE.kinematic))
 NAMES = ("steer_rad", "sideslip_rad", "sideslip_rate_radps", "yaw_rate_excess_radps", "speed_mps")
 
 
@@ -28,12 +29,12 @@ def signals_of(bag) -> KinematicSignals:
 
 def summary_of(bag, inside=None):
     everything = np.ones(bag.shape[1], dtype=bool)
-    return kinematic_summary(signals_of(bag), everything if inside is None else inside, duration_s=4.0)
+    return kinematic_summary(signals_of(bag), everything if inside is None else inside, grip=GRIP, duration_s=4.0)
 
 
 def test_the_columns_are_the_tables_and_the_numbers_scipys():
     bag = np.random.default_rng(1).gamma(2.0, size=(5, N))
-    values = dict(zip((f.name for f in PAPER_TABLE.kinematic), summary_of(bag).values, strict=True))
+    values = dict(zip((f.name for f in NEWEST_TABLE.kinematic), summary_of(bag).values, strict=True))
     speed, slip = bag[4], bag[1]
     assert values["speed_mean_mps"] == pytest.approx(np.mean(speed))
     assert values["speed_q80_mps"] == pytest.approx(np.quantile(speed, 0.8))
@@ -47,7 +48,7 @@ def test_the_columns_are_the_tables_and_the_numbers_scipys():
 
 def statistics_in(summary):
     """Return the statistics of a summary, a signal a row. (5, 11)"""
-    return np.array(summary.values)[PAPER_TABLE.statistics_columns]
+    return np.array(summary.values)[NEWEST_TABLE.statistics_columns]
 
 
 @pytest.mark.parametrize("draw", ["normal", "exponential", "uniform", "standard_cauchy"])
@@ -102,13 +103,19 @@ def test_samples_outside_do_not_count():
 
 def test_the_record_says_what_it_was_made_for():
     summary = kinematic_summary(
-        signals_of(np.ones((5, 10))), np.ones(10, dtype=bool), duration_s=3.5, quality=QualityFlag.NO_GNSS
+        signals_of(np.ones((5, 10))), np.ones(10, dtype=bool), grip=GRIP, duration_s=3.5, quality=QualityFlag.NO_GNSS
     )
     assert (summary.table_digest, summary.duration_s, summary.quality) == (
-        PAPER_TABLE.digest,
+        NEWEST_TABLE.digest,
         3.5,
         QualityFlag.NO_GNSS,
     )
+
+
+def test_the_grip_follows_the_papers_statistics():
+    summary = summary_of(np.random.default_rng(3).normal(size=(5, N)))
+    paper = summary_for(summary, PAPER_TABLE)
+    assert summary.values == (*paper.values, *GRIP.tolist())
 
 
 def test_an_empty_bag_is_refused():
