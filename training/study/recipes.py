@@ -7,9 +7,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, is_dataclass, replace
 from typing import TypeAlias
 
+from roadgrip.features import FEATURE_NAMES
 from roadgrip.units import FloatArray
 from training.code_identity import function_digest
-from training.fit_parameters import FitParameters
+from training.fit_parameters import FitParameters, Target
 from training.regressor import estimate_mu, grow_trees
 from training.study.paper_features import PAPER_FEATURES, SPEED_FEATURES
 
@@ -82,3 +83,18 @@ PAPER_RECIPE = Recipe("paper", PAPER_FEATURES, Boosted(PAPER_FIT))
 """The paper's regressor: 78 features, 100 trees of depth 6."""
 SPEED_ONLY_RECIPE = replace(PAPER_RECIPE, name="speed only", features=SPEED_FEATURES)
 """The same from nothing but the speed: what the driver's caution alone gives away."""
+BEST_RECIPE = Recipe(
+    "best",
+    FEATURE_NAMES,
+    Boosted(
+        FitParameters(
+            trees_count=600,
+            depth_count=5,
+            learning_rate_ratio=0.05,
+            row_share_frac=0.7,
+            column_share_frac=0.4,
+            target=Target.LOG_MU,
+        )
+    ),
+)
+"""Everything the vehicle tells, and many careful trees that err relative to the truth."""
