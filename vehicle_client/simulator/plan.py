@@ -171,6 +171,9 @@ class PassagePlan:
         roughness: How uneven the road is; a plane if None.
         vehicle: The car.
         scales: How many times as large disturbances are as usual.
+        sensor_seed: Of what one car's sensors get wrong on all its drives alike: scales, mounting, radii, offsets of
+            steering and accelerometers. The offsets of its gyros stay the drive's own, since they are zeroed at every
+            standstill. If None, all errors are drawn for the drive.
     """
 
     base_friction_mu: float
@@ -189,6 +192,7 @@ class PassagePlan:
     pressure_pa: float = REFERENCE_PRESSURE_PA
     vehicle: Vehicle = XC90
     scales: AmplitudeScales = UNSCALED
+    sensor_seed: int | None = None
 
     @property
     def tyre_factor(self) -> float:

@@ -216,7 +216,8 @@ def _drive_of(section: RoadSection, plan: PassagePlan, log: FloatArray, outcome:
     if plan.with_gnss:
         rng = _rng_of(plan, _GNSS)
         gnss = gnss_track(truth.x_m, truth.y_m, frame=frame_of(section), rng=rng, sensors=sensors)
-    trace = trace_of(_motion(log), rng=_rng_of(plan, _SENSORS), sensors=sensors, gnss=gnss)
+    car_rng = None if plan.sensor_seed is None else np.random.default_rng(plan.sensor_seed)
+    trace = trace_of(_motion(log), rng=_rng_of(plan, _SENSORS), sensors=sensors, gnss=gnss, car_rng=car_rng)
     inside = (truth.station_m >= 0.0) & (truth.station_m <= section.length_m)
     seen = inside if inside.any() else np.ones_like(inside)
     return Drive(

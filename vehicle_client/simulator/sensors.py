@@ -1,7 +1,7 @@
 """What the vehicle's sensors make of the true motion.
 
-Errors that last a whole drive (bias, scale, misalignment, mounting, wheel radii) are drawn once per drive; noise is
-drawn per sample. `amplitudes` holds how large they are.
+Errors that last a whole drive (bias, scale, misalignment, mounting, wheel radii) are drawn once per drive, or, but for
+the gyros' bias, once per car; noise is drawn per sample. `amplitudes` holds how large they are.
 
 Three senders share the vehicle's network: the inertial unit, the steering column and the brake controller with its
 wheel speeds. Each stamps its samples by its own clock, early or late by its own jitter. The receiver believes the
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 __all__ = ["AUTOMOTIVE", "IDEAL", "SENSORS", "Motion", "Sensors", "gnss_track", "scaled", "trace_of"]
 
 _DRIVE_DRAWS_COUNT = 19
+_GYRO_BIAS_DRAWS = slice(11, 13)
 _SAMPLE_DRAWS_COUNT = 11
 _FIX_DRAWS_COUNT = 3
 # Bits and sums of eight bytes, see `_noise`; compiled code mixes unsigned numbers with no others.
@@ -62,7 +63,14 @@ class Motion(NamedTuple):
     stability_active: BoolArray
 
 
-def trace_of(motion: Motion, *, rng: np.random.Generator, sensors: Sensors, gnss: GnssTrack | None = None) -> Trace:
+def trace_of(
+    motion: Motion,
+    *,
+    rng: np.random.Generator,
+    sensors: Sensors,
+    gnss: GnssTrack | None = None,
+    car_rng: np.random.Generator | None = None,
+) -> Trace:
     """Return the trace that sensors of a grade record of a motion.
 
     Exact sensors need no chance and draw nothing; with others the number of draws depends on the number of samples
@@ -73,6 +81,7 @@ def trace_of(motion: Motion, *, rng: np.random.Generator, sensors: Sensors, gnss
         rng: Source of chance; the trace is a function of its state and of the other arguments.
         sensors: Their errors.
         gnss: Position fixes to add.
+        car_rng: Source of chance of what lasts the car's life; all comes from `rng` if None. The noise is the same.
     """
     n = len(motion.steer_rad)
     inertial, wheels = np.empty((4, n)), np.empty((n, 4))
@@ -82,7 +91,7 @@ def trace_of(motion: Motion, *, rng: np.random.Generator, sensors: Sensors, gnss
         inertial[2:] = motion.rate_radps[:, 0], motion.rate_radps[:, 2]
         steer[:], wheels[:] = motion.steer_rad, motion.wheel_speed_mps
     else:
-        unit, encoders = _drawn(rng, sensors)
+        unit, encoders = _drawn(rng, sensors, car_rng)
         words = rng.integers(0, 2**64, size=(n, _SAMPLE_DRAWS_COUNT), dtype=np.uint64)
         _sense_inertially(motion.specific_force_mps2, motion.rate_radps, words, unit, SAMPLE_S, inertial)
         _sense_wheels(motion.steer_rad, motion.wheel_speed_mps, words, encoders, steer, wheels)
@@ -167,9 +176,13 @@ class _Encoders(NamedTuple):
     jitter_samples_count: float
 
 
-def _drawn(rng: np.random.Generator, sensors: Sensors) -> tuple[_Unit, _Encoders]:
-    """Return what lasts a whole drive."""
+def _drawn(rng: np.random.Generator, sensors: Sensors, car_rng: np.random.Generator | None) -> tuple[_Unit, _Encoders]:
+    """Return what lasts a whole drive, or a car's life."""
     draws = rng.standard_normal(_DRIVE_DRAWS_COUNT).tolist()
+    if car_rng is not None:
+        zeroed_at_standstill = draws[_GYRO_BIAS_DRAWS]
+        draws = car_rng.standard_normal(_DRIVE_DRAWS_COUNT).tolist()
+        draws[_GYRO_BIAS_DRAWS] = zeroed_at_standstill
     tilt, gain, bias, radius = draws[2:5], draws[5:9], draws[9:13], draws[14:19]
     jitter_samples_count = sensors.jitter_s / SAMPLE_S
     unit = _Unit(

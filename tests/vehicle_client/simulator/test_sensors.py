@@ -185,6 +185,32 @@ def test_each_lasting_error_alone_has_the_stated_size(amplitude, channel, expect
     assert spread == pytest.approx(expected * size, rel=0.08)
 
 
+def test_a_car_keeps_its_errors_over_drives_but_for_the_gyros_offsets():
+    """Noise averages out over a long drive; what is left is the car's, and the drive's own offset of the gyro."""
+    motion = still(200_000, speed_mps=20.0)
+    drives = [
+        trace_of(motion, rng=np.random.default_rng(k), sensors=AUTOMOTIVE, car_rng=np.random.default_rng(7))
+        for k in range(3)
+    ]
+    for channel, least in (("accel_x_mps2", 0.01), ("accel_y_mps2", 0.01), ("wheel_speed_mps", 0.01)):
+        means = [np.mean(getattr(drive, channel)) for drive in drives]
+        assert np.ptp(means) < least
+    assert np.ptp([np.mean(drive.yaw_rate_radps) for drive in drives]) > 1e-4
+
+
+def test_another_car_errs_otherwise_with_the_same_noise():
+    motion = still(1000)
+    sensors = only(accel_noise_mps2=0.03, accel_bias_mps2=0.05)
+    one, other, nobody = (
+        trace_of(motion, rng=np.random.default_rng(1), sensors=sensors, car_rng=car_rng)
+        for car_rng in (np.random.default_rng(7), np.random.default_rng(8), None)
+    )
+    for changed in (other, nobody):
+        difference = changed.accel_y_mps2 - one.accel_y_mps2
+        assert np.ptp(difference) < 1e-12
+        assert abs(difference[0]) > 1e-3
+
+
 def test_steering_and_wheel_speeds_come_in_steps(rng):
     motion = still()._replace(
         steer_rad=np.linspace(-0.1, 0.1, 4000), wheel_speed_mps=np.linspace(5.0, 10.0, 16000).reshape(4000, 4)
