@@ -20,13 +20,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from roadgrip.units import GRAVITY_MPS2
-from vehicle_client.estimation.grip.axle import FULL_USE_RATIO, AxleSlip, WheelCurve, axle_slip, wheel_curve
+from vehicle_client.estimation.grip.axle import FULL_USE_RATIO, AxleSlip, WheelCurve, axle_slip
 
 if TYPE_CHECKING:
     from roadgrip.units import FloatArray
+    from vehicle_client.estimation.grip.forces import AxleForces
     from vehicle_client.estimation.grip.motion import Motion
     from vehicle_client.estimation.grip.noise import GripNoise
-    from vehicle_client.estimation.handling import Handling, TyreCurve
+    from vehicle_client.estimation.handling import Handling
     from vehicle_client.estimation.vehicle_geometry import VehicleGeometry
 
 SLOW_PART_S = 2.1
@@ -34,7 +35,6 @@ SLOW_PART_S = 2.1
 _FORCE_FLOOR_N = 50.0
 _ANGLE_FLOOR_RAD = 1e-5
 _TRUE_SPEED_MIN_MPS = 1.0
-_LOAD_MIN_FRAC = 0.02
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,12 +74,19 @@ class Channels:
 
 
 def channels(
-    motion: Motion, friction_mu: FloatArray, *, handling: Handling, geometry: VehicleGeometry, noise: GripNoise
+    motion: Motion,
+    forces: AxleForces,
+    friction_mu: FloatArray,
+    *,
+    handling: Handling,
+    geometry: VehicleGeometry,
+    noise: GripNoise,
 ) -> Channels:
     """Return what frictions predict of a motion, and by how much they miss.
 
     Args:
         motion: Of the car over the section.
+        forces: What that motion asks of the axles.
         friction_mu: The frictions that are asked about. (frictions,)
         handling: Of the own car.
         geometry: Of the own car.
@@ -88,7 +95,6 @@ def channels(
     mu = friction_mu[:, None]
     wheelbase, speed = geometry.wheelbase_m, motion.speed_mps
     front_frac, rear_frac = geometry.rear_axle_m / wheelbase, geometry.front_axle_m / wheelbase
-    forces = _axle_forces(motion, handling, geometry)
     front = axle_slip(mu, forces.front_side_n, forces.front_along_n, forces.front_wheels)
     rear = axle_slip(mu, forces.rear_side_n, forces.rear_along_n, forces.rear_wheels)
     # Driven wheels turn faster than the road passes: the speed by the encoders less their mean slip.
@@ -101,7 +107,7 @@ def channels(
 
     # Where the front axle goes: the rear axle slips sideways by its angle, and the car turns about it.
     front_side_mps = wheelbase * motion.yaw_rate_radps - true_speed * rear.angle_rad
-    course = np.arctan2(front_side_mps, true_speed)
+    course = np.arctan(front_side_mps / true_speed)
     bend = front.angle_per_force_radpn * front_gain - rear.angle_per_force_radpn * rear_gain
     bend = bend + handling.steer_compliance_radpn * front_gain
     steering = Channel(
@@ -159,83 +165,13 @@ def channels(
         steering=steering,
         drift=drift,
         wheel_slip=wheel_slip,
-        excess_ratio=np.hypot(
-            np.maximum(front.use_ratio - FULL_USE_RATIO, 0.0) * mu * (_peak_n(forces.front_wheels) / front_gain),
-            np.maximum(rear.use_ratio - FULL_USE_RATIO, 0.0) * mu * (_peak_n(forces.rear_wheels) / rear_gain),
+        excess_ratio=np.sqrt(
+            (np.maximum(front.use_ratio - FULL_USE_RATIO, 0.0) * mu * (_peak_n(forces.front_wheels) / front_gain)) ** 2
+            + (np.maximum(rear.use_ratio - FULL_USE_RATIO, 0.0) * mu * (_peak_n(forces.rear_wheels) / rear_gain)) ** 2
         )
         / noise.force_y_mps2,
         demand_mu=np.maximum(front.use_ratio[0], rear.use_ratio[0]) * friction_mu[0],
     )
-
-
-@dataclass(frozen=True, slots=True)
-class _AxleForces:
-    """Forces of both axles along and across their wheels. Arrays (n,).
-
-    The lateral ones are those whose slip shows now: force follows slip over the relaxation length, so slip runs ahead.
-    """
-
-    front_side_n: FloatArray
-    front_side_now_n: FloatArray
-    front_along_n: FloatArray
-    front_wheels: tuple[WheelCurve, WheelCurve]
-    rear_side_n: FloatArray
-    rear_along_n: FloatArray
-    rear_wheels: tuple[WheelCurve, WheelCurve]
-
-
-def _axle_forces(motion: Motion, handling: Handling, geometry: VehicleGeometry) -> _AxleForces:
-    mass, wheelbase, tyre = handling.mass_kg, geometry.wheelbase_m, handling.tyre
-    ahead, behind = geometry.front_axle_m / wheelbase, geometry.rear_axle_m / wheelbase
-    pitch_n = mass * handling.cog_height_m * motion.force_x_mps2 / wheelbase
-    front_load = mass * motion.normal_mps2 * behind - pitch_n
-    rear_load = mass * motion.normal_mps2 * ahead + pitch_n
-    side_n = mass * motion.force_y_mps2 / geometry.track_m
-    front_wheels = _wheels(front_load, side_n * handling.front_transfer_height_m, tyre)
-    rear_wheels = _wheels(rear_load, side_n * handling.rear_transfer_height_m, tyre)
-
-    sin_steer, cos_steer = np.sin(motion.steer_rad), np.cos(motion.steer_rad)
-    # Wheels that are steered hold the car back with a part of their lateral force.
-    held_n = mass * behind * motion.force_y_mps2 * sin_steer
-    pushed_n = mass * motion.force_x_mps2 + handling.drag_kgpm * motion.speed_mps**2 + held_n
-    turned_n = pushed_n + tyre.rolling_resistance_ratio * (front_load + rear_load)
-    engine_n = -mass * handling.engine_brake_mps2
-    front_turned_n = np.where(
-        turned_n > engine_n,
-        handling.front_drive_frac * turned_n,
-        handling.front_drive_frac * engine_n + handling.front_brake_frac * (turned_n - engine_n),
-    )
-    front_along = front_turned_n - tyre.rolling_resistance_ratio * front_load
-    rear_along = turned_n - front_turned_n - tyre.rolling_resistance_ratio * rear_load
-
-    stiffer = front_wheels[1].stiffness_n - front_wheels[0].stiffness_n
-    stiffer = stiffer / (front_wheels[1].stiffness_n + front_wheels[0].stiffness_n)
-
-    def sides(force_y_mps2: FloatArray) -> tuple[FloatArray, FloatArray]:
-        front_across = mass * behind * force_y_mps2 + handling.yaw_inertia_kgm2 * motion.yaw_accel_radps2 / wheelbase
-        # Of two steered wheels the outer one bears more: their forces' parts against the motion turn the car out.
-        front_across = front_across * (1.0 + 0.5 * geometry.track_m / wheelbase * stiffer * sin_steer)
-        return (front_across - front_along * sin_steer) / cos_steer, mass * force_y_mps2 - front_across
-
-    front_now, _ = sides(motion.force_y_mps2)
-    front_side, rear_side = sides(motion.force_y_mps2 + tyre.relaxation_m / motion.speed_mps * motion.force_y_rate_mps3)
-    return _AxleForces(
-        front_side_n=front_side,
-        front_side_now_n=front_now,
-        front_along_n=front_along,
-        front_wheels=front_wheels,
-        rear_side_n=rear_side,
-        rear_along_n=rear_along,
-        rear_wheels=rear_wheels,
-    )
-
-
-def _wheels(axle_load_n: FloatArray, shift_n: FloatArray, tyre: TyreCurve) -> tuple[WheelCurve, WheelCurve]:
-    """Return the curves of the left and the right wheel; in a left turn load shifts to the right."""
-    least = _LOAD_MIN_FRAC * axle_load_n
-    left = np.maximum(0.5 * axle_load_n - shift_n, least)
-    right = np.maximum(0.5 * axle_load_n + shift_n, least)
-    return wheel_curve(left, tyre), wheel_curve(right, tyre)
 
 
 def _peak_n(wheels: tuple[WheelCurve, WheelCurve]) -> FloatArray:

@@ -8,12 +8,14 @@ unit can add up over vehicles.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from roadgrip.features import GRIP_DEMAND_LEVELS_FRAC, GRIP_SHAPES, MISFIT_LIMIT, PROFILE_FLOOR, PROFILE_FRICTIONS_MU
 from vehicle_client.estimation.grip.channels import channels
+from vehicle_client.estimation.grip.forces import axle_forces
 from vehicle_client.estimation.grip.likelihood import log_likelihood
 
 if TYPE_CHECKING:
@@ -26,8 +28,10 @@ if TYPE_CHECKING:
 
 COARSE_MU = np.geomspace(0.10, 1.25, 21)
 _COARSE_STEP = float(np.log(COARSE_MU[1] / COARSE_MU[0]))
-_FINE_OFFSETS = _COARSE_STEP * np.linspace(-1.1, 1.1, 19)
-"""Natural logarithms, around the best of the coarse grid."""
+_FINE_OFFSETS = _COARSE_STEP * np.linspace(-1.1, 1.1, 18)
+"""Natural logarithms, around the best of the coarse grid; an even number, so that no friction is asked about twice."""
+_TIE = 1e-6
+"""Frictions whose likelihoods differ by less are equally good: rounding is no evidence."""
 
 
 def grip_evidence(motion: Motion, *, handling: Handling, geometry: VehicleGeometry, noise: GripNoise) -> FloatArray:
@@ -41,9 +45,10 @@ def grip_evidence(motion: Motion, *, handling: Handling, geometry: VehicleGeomet
         geometry: Of the own car.
         noise: Of its sensors.
     """
+    forces = axle_forces(motion, handling=handling, geometry=geometry)
 
     def profiles(friction_mu: FloatArray) -> tuple[dict[str, FloatArray], Channels]:
-        found = channels(motion, friction_mu, handling=handling, geometry=geometry, noise=noise)
+        found = channels(motion, forces, friction_mu, handling=handling, geometry=geometry, noise=noise)
         weight = motion.counted_weight
         limit = -0.5 * (found.excess_ratio**2 * weight).sum(axis=1)
         steering = limit + log_likelihood(found.steering, weight)
@@ -58,44 +63,82 @@ def grip_evidence(motion: Motion, *, handling: Handling, geometry: VehicleGeomet
         return told, found
 
     coarse, found = profiles(COARSE_MU)
-    best = float(np.log(COARSE_MU[int(np.argmax(coarse["all"]))]))
-    fine_mu = np.exp(np.clip(best + _FINE_OFFSETS, np.log(COARSE_MU[0]), np.log(COARSE_MU[-1])))
+    fine_mu = COARSE_MU[_top(coarse["all"])] * np.exp(_FINE_OFFSETS)
     fine, _ = profiles(fine_mu)
     friction = np.concatenate([COARSE_MU, fine_mu])
-    order = np.argsort(friction, kind="stable")
+    order = np.argsort(friction)
     log_mu = np.log(friction[order])
     told = {name: np.concatenate([coarse[name], fine[name]])[order] for name in coarse}
     samples = max(1.0, float(motion.counted_weight.sum()))
-    shapes = [_shape(log_mu, told[name], samples, drops) for name, drops in GRIP_SHAPES.items()]
-    profile = np.interp(np.log(PROFILE_FRICTIONS_MU), log_mu, told["all"])
+    peaks = {name: _peak(log_mu, told[name]) for name in GRIP_SHAPES}
+    shapes = [_shape(peaks[name], samples, drops) for name, drops in GRIP_SHAPES.items()]
+    everything = peaks["all"]
+    profile = -(np.interp(np.log(PROFILE_FRICTIONS_MU), everything.log_mu, everything.deviation) ** 2)
     return np.concatenate(
-        [
-            *shapes,
-            np.maximum(profile - told["all"].max(), PROFILE_FLOOR),
-            _demand(motion, found.demand_mu[motion.inside]),
-        ]
+        [*shapes, np.maximum(profile, PROFILE_FLOOR), _demand(motion, found.demand_mu[motion.inside])]
     )
 
 
-def _shape(log_mu: FloatArray, told: FloatArray, samples: float, drops: tuple[float, ...]) -> FloatArray:
+@dataclass(frozen=True, slots=True)
+class _Peak:
+    """A log-likelihood about its top, told as the root of how far it falls: a line where the likelihood is a Gaussian.
+
+    Attributes:
+        log_mu: Frictions in rising order, that of the top among them. (k,)
+        deviation: Root of the fall, negative below the top. (k,)
+        top: Where the top stands among them.
+        height: Log-likelihood of the top.
+    """
+
+    log_mu: FloatArray
+    deviation: FloatArray
+    top: int
+    height: float
+
+
+def _top(told: FloatArray) -> int:
+    """Return where a log-likelihood is highest; the middle of all such places if there are several."""
+    best = np.flatnonzero(told >= told.max() - _TIE)
+    return int(best[len(best) // 2])
+
+
+def _peak(log_mu: FloatArray, told: FloatArray) -> _Peak:
+    """Return a log-likelihood about its top: of a parabola through the highest place and its neighbours."""
+    top = _top(told)
+    at, height = float(log_mu[top]), float(told[top])
+    if 0 < top < len(told) - 1:
+        before, after = log_mu[top - 1] - at, log_mu[top + 1] - at
+        rise, fall = (told[top - 1] - height) / before, (told[top + 1] - height) / after
+        bend = (fall - rise) / (after - before)
+        slope = rise - bend * before
+        if bend < -_TIE:
+            at -= 0.5 * slope / bend
+            height -= 0.25 * slope * slope / bend
+    deviation = np.sqrt(np.maximum(height - told, 0.0))
+    deviation[log_mu < at] *= -1.0
+    place = int(np.searchsorted(log_mu, at))
+    return _Peak(np.insert(log_mu, place, at), np.insert(deviation, place, 0.0), place, height)
+
+
+def _shape(peak: _Peak, samples: float, drops: tuple[float, ...]) -> FloatArray:
     """Return best friction, how far below and above it the likelihood falls by each of the drops, and misfit a sample.
 
     Where it never falls that far, the distance is to the end of the grid. (2 drops + 2,)
     """
-    top = int(np.argmax(told))
-    falls = told - told[top]
-    below = [_distance(log_mu[top::-1], falls[top::-1], drop) for drop in drops]
-    above = [_distance(log_mu[top:], falls[top:], drop) for drop in drops]
-    return np.array([float(np.exp(log_mu[top])), *below, *above, min(-told[top] / samples, MISFIT_LIMIT)])
+    top, log_mu, deviation = peak.top, peak.log_mu, peak.deviation
+    below = [_distance(log_mu[top::-1], -deviation[top::-1], drop) for drop in drops]
+    above = [_distance(log_mu[top:], deviation[top:], drop) for drop in drops]
+    return np.array([float(np.exp(log_mu[top])), *below, *above, min(-peak.height / samples, MISFIT_LIMIT)])
 
 
-def _distance(log_mu: FloatArray, falls: FloatArray, drop: float) -> float:
-    """Return how far from the first place on the likelihood has fallen by `drop`, linear between places."""
-    beyond = np.flatnonzero(falls <= -drop)
+def _distance(log_mu: FloatArray, deviation: FloatArray, drop: float) -> float:
+    """Return how far from the first place on the likelihood has fallen by `drop`."""
+    limit = drop**0.5
+    beyond = np.flatnonzero(deviation >= limit)
     if len(beyond) == 0:
         return abs(float(log_mu[-1] - log_mu[0]))
     place = int(beyond[0])
-    share = (-drop - falls[place - 1]) / (falls[place] - falls[place - 1])
+    share = (limit - deviation[place - 1]) / (deviation[place] - deviation[place - 1])
     return abs(float(log_mu[place - 1] + share * (log_mu[place] - log_mu[place - 1]) - log_mu[0]))
 
 

@@ -20,6 +20,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from roadgrip.units import FloatArray
     from vehicle_client.estimation.grip.channels import Channel
 
@@ -35,17 +37,22 @@ def log_likelihood(channel: Channel, weight: FloatArray) -> FloatArray:
         weight: How many independent samples each sample stands for. (n,)
     """
     misfit, variance = channel.misfit, channel.variance
-    effects = np.stack([np.broadcast_to(effect, misfit.shape) for effect in channel.nuisances], axis=-1)
-    prior = np.diag(1.0 / np.array(channel.priors) ** 2)
-    rest = misfit
-    constants: FloatArray = np.zeros((len(misfit), len(channel.priors), 1))
-    certainty = weight / variance
+    # Constants before samples: sums over samples then are products of matrices whose rows lie in one piece.
+    effects = np.empty((len(misfit), len(channel.nuisances), misfit.shape[1]))
+    for place, effect in enumerate(channel.nuisances):
+        effects[:, place] = effect
+    by_constant = np.swapaxes(effects, 1, 2)
+    prior = 1.0 / np.array(channel.priors) ** 2
+    certainty = (TAIL_DEGREES + 1.0) * weight / variance
+    constants: NDArray[np.floating] = np.zeros((len(misfit), len(prior), 1))
+    surprise = misfit * misfit / variance
     for _ in range(_ROUNDS_COUNT):
-        trust = certainty * (TAIL_DEGREES + 1.0) / (TAIL_DEGREES + rest * rest / variance)
-        weighted = np.swapaxes(trust[..., None] * effects, 1, 2)
-        constants = np.linalg.solve(weighted @ effects + prior, weighted @ misfit[..., None])
-        rest = misfit - (effects @ constants)[..., 0]
-    unexplained = (TAIL_DEGREES + 1.0) * np.log1p(rest * rest / (TAIL_DEGREES * variance))
-    unlikely = (constants[..., 0] ** 2 * np.diag(prior)).sum(axis=1)
-    fit: FloatArray = -0.5 * ((unexplained * weight).sum(axis=1) + unlikely)
+        trust = certainty / (TAIL_DEGREES + surprise)
+        weighted = trust[:, None] * effects
+        constants = np.linalg.solve(weighted @ by_constant + np.diag(prior), weighted @ misfit[..., None])
+        rest = misfit - (np.swapaxes(constants, 1, 2) @ effects)[:, 0]
+        surprise = rest * rest / variance
+    unexplained = (TAIL_DEGREES + 1.0) * (np.log1p(surprise / TAIL_DEGREES) @ weight)
+    unlikely = constants[..., 0] ** 2 @ prior
+    fit: FloatArray = -0.5 * (unexplained + unlikely)
     return fit

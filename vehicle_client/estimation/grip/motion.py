@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from roadgrip.units import GRAVITY_MPS2, SAMPLE_S
-from vehicle_client.estimation.filters import rate_of_change, smoothed
+from vehicle_client.estimation.filters import EDGE_SAMPLES_COUNT, rate_of_change, smoothed
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from roadgrip.section import RoadSection
     from roadgrip.units import BoolArray, FloatArray
     from vehicle_client.estimation.handling import Handling
@@ -25,6 +27,8 @@ SAMPLES_LIMIT_COUNT = 300
 """Longer passages are sampled more coarsely, so that the work has a bound."""
 _MARGIN_COUNT = 50
 """Samples before and after the section: slow parts need some room to be told from ends."""
+_REACH_COUNT = EDGE_SAMPLES_COUNT + 1 + MEAN_OF_COUNT // 2
+"""How far from a sample the values lie that its smoothed rate's mean is made of."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,46 +96,51 @@ def motion_over(
         handling: Of the own car.
         level_gain_ratio: Which share of the difference between both means is taken off.
     """
-    profile = section.profile
-    bank = np.arctan(np.interp(station_m, profile.station_m, profile.cross_slope_ratio))
-    grade = np.interp(station_m, profile.station_m, profile.grade_ratio)
-    crest_1pm = np.gradient(profile.grade_ratio, profile.station_m)
-    crest = np.interp(station_m, profile.station_m, crest_1pm)
-    yaw_rate = measured.yaw_rate_radps
-    # The body leans out of the turn and takes its sensor along, which then feels a share of gravity; it nods likewise.
-    force_y = measured.accel_y_mps2 / (1.0 + GRAVITY_MPS2 * handling.roll_gradient_s2pm)
-    force_x = measured.accel_x_mps2 / (1.0 + GRAVITY_MPS2 * handling.pitch_gradient_s2pm)
-    turning = yaw_rate * speed_mps + GRAVITY_MPS2 * np.sin(bank)
-    force_y = force_y + level_gain_ratio * float((turning - force_y)[inside].mean())
-    # Banked inwards (negative in a left turn), or in a dip, a road bears more than the car's weight.
-    normal = GRAVITY_MPS2 * np.cos(bank) / np.sqrt(1.0 + grade**2) + speed_mps**2 * crest
-    normal -= speed_mps * yaw_rate * np.tan(bank)
     first, last = np.flatnonzero(inside)[[0, -1]]
     start, end = max(0, int(first) - _MARGIN_COUNT), min(len(inside), int(last) + _MARGIN_COUNT + 1)
     step = max(STEP_MIN_COUNT, -(-(end - start) // SAMPLES_LIMIT_COUNT))
-    signals = np.vstack(
-        [
-            speed_mps,
-            yaw_rate,
-            rate_of_change(smoothed(yaw_rate)),
-            steer_rad,
-            force_x,
-            force_y,
-            rate_of_change(smoothed(force_y)),
-            normal,
-            bank,
-            0.5 * (wheel_speed_mps[:, 0] + wheel_speed_mps[:, 1]),
-            0.5 * (wheel_speed_mps[:, 2] + wheel_speed_mps[:, 3]),
-        ]
+    # What lies farther away than filters and means reach is nobody's concern.
+    here = slice(max(0, start - _REACH_COUNT), end + _REACH_COUNT)
+    speed, yaw_rate, counted = speed_mps[here], measured.yaw_rate_radps[here], inside[here]
+    profile = section.profile
+    crest_1pm = np.gradient(profile.grade_ratio, profile.station_m)
+    slope, grade, crest = (
+        np.interp(station_m[here], profile.station_m, values)
+        for values in (profile.cross_slope_ratio, profile.grade_ratio, crest_1pm)
     )
-    rows = slice(start + step // 2, end, step)
-    speed, turn, turn_rate, steer, along, across, across_rate, upward, banked, front, rear = _means(signals)[:, rows]
+    bank = np.arctan(slope)
+    # The body leans out of the turn and takes its sensor along, which then feels a share of gravity; it nods likewise.
+    force_y = measured.accel_y_mps2[here] / (1.0 + GRAVITY_MPS2 * handling.roll_gradient_s2pm)
+    force_x = measured.accel_x_mps2[here] / (1.0 + GRAVITY_MPS2 * handling.pitch_gradient_s2pm)
+    turning = yaw_rate * speed + GRAVITY_MPS2 * np.sin(bank)
+    force_y = force_y + level_gain_ratio * float((turning - force_y)[counted].mean())
+    # Banked inwards (negative in a left turn), or in a dip, a road bears more than the car's weight.
+    normal = GRAVITY_MPS2 * np.cos(bank) / np.sqrt(1.0 + grade**2) + speed**2 * crest
+    normal -= speed * yaw_rate * slope
+    wheels = wheel_speed_mps[here]
+    signals = (
+        speed,
+        yaw_rate,
+        rate_of_change(smoothed(yaw_rate)),
+        steer_rad[here],
+        force_x,
+        force_y,
+        rate_of_change(smoothed(force_y)),
+        normal,
+        bank,
+        0.5 * (wheels[:, 0] + wheels[:, 1]),
+        0.5 * (wheels[:, 2] + wheels[:, 3]),
+    )
+    rows = np.arange(start + step // 2, end, step)
+    mean_speed, turn, turn_rate, steer, along, across, across_rate, upward, banked, front, rear = _means_at(
+        rows - here.start, signals
+    )
     sampled = inside[rows]
     return Motion(
         step_s=step * SAMPLE_S,
         inside=sampled,
         counted_weight=np.where(sampled, min(1.0, step / MEAN_OF_COUNT), 0.0),
-        speed_mps=np.maximum(speed, SPEED_MIN_MPS),
+        speed_mps=np.maximum(mean_speed, SPEED_MIN_MPS),
         yaw_rate_radps=turn,
         yaw_accel_radps2=turn_rate,
         steer_rad=steer,
@@ -145,12 +154,14 @@ def motion_over(
     )
 
 
-def _means(signals: FloatArray) -> FloatArray:
-    """Return centred moving means along rows, ends held. (k, n)"""
-    half = MEAN_OF_COUNT // 2
-    padded = np.concatenate(
-        [np.repeat(signals[:, :1], half, axis=1), signals, np.repeat(signals[:, -1:], half - 1, axis=1)], axis=1
-    )
-    sums = np.concatenate([np.zeros((len(signals), 1)), np.cumsum(padded, axis=1)], axis=1)
-    means: FloatArray = (sums[:, MEAN_OF_COUNT:] - sums[:, :-MEAN_OF_COUNT]) / MEAN_OF_COUNT
+def _means_at(places: NDArray[np.intp], signals: tuple[FloatArray, ...]) -> FloatArray:
+    """Return centred moving means at some places, ends held. (signals, places)"""
+    half, count = MEAN_OF_COUNT // 2, len(signals[0])
+    sums = np.zeros((len(signals), count + MEAN_OF_COUNT))
+    for total, signal in zip(sums, signals, strict=True):
+        total[1 : half + 1] = signal[0]
+        total[half + 1 : half + 1 + count] = signal
+        total[half + 1 + count :] = signal[-1]
+    np.cumsum(sums, axis=1, out=sums)
+    means: FloatArray = (sums[:, places + MEAN_OF_COUNT] - sums[:, places]) / MEAN_OF_COUNT
     return means
