@@ -145,6 +145,7 @@ def summarise_passage(
         wheel_speed_mps=trace.wheel_speed_mps,
         handling=handling,
         level_gain_ratio=noise.level_gain_ratio,
+        absent=trace.absent,
     )
     summary = kinematic_summary(
         signals,

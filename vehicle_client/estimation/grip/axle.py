@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 FULL_USE_RATIO = 0.995
 """Share of the peak force up to which the curve is read; at the peak any slip would do."""
 _LEAST_FORCE_N = 1.0
+_LEAST_RATIO = 0.1
+"""Of what holds at the nominal load: lines through two loads, drawn on, would cross zero."""
 _CORRECTION_LIMIT_RATIO = 0.15
 """Of the slip angle; near the peak the closed form is closer than a long Newton step."""
 _CORRECTION_FLOOR_RAD = 1e-4
@@ -62,18 +64,22 @@ class AxleSlip:
 
 
 def wheel_curve(load_n: FloatArray, tyre: TyreCurve) -> WheelCurve:
-    """Return the curve of a wheel: all ratios change linearly with the load.
+    """Return the curve of a wheel: all ratios change linearly with the load, down to a tenth of the nominal one.
 
     Args:
         load_n: Positive. (n,)
         tyre: The tyre.
     """
     more = load_n / tyre.nominal_load_n - 1.0
-    stiffness = tyre.stiffness_ratio + (tyre.stiffness_twice_ratio - tyre.stiffness_ratio) * more
+
+    def at_load(nominal: float, twice: float) -> FloatArray:
+        return np.maximum(nominal + (twice - nominal) * more, _LEAST_RATIO * nominal)
+
+    stiffness = at_load(tyre.stiffness_ratio, tyre.stiffness_twice_ratio)
     return WheelCurve(
         stiffness_n=load_n * stiffness,
-        peak_n=load_n * (1.0 + (tyre.peak_twice_ratio - 1.0) * more),
-        peak_slip_ratio=tyre.peak_slip_ratio + (tyre.peak_slip_twice_ratio - tyre.peak_slip_ratio) * more,
+        peak_n=load_n * at_load(1.0, tyre.peak_twice_ratio),
+        peak_slip_ratio=at_load(tyre.peak_slip_ratio, tyre.peak_slip_twice_ratio),
         along_ratio=tyre.along_stiffness_ratio / stiffness,
     )
 

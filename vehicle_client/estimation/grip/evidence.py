@@ -17,6 +17,7 @@ from roadgrip.features import GRIP_DEMAND_LEVELS_FRAC, GRIP_SHAPES, MISFIT_LIMIT
 from vehicle_client.estimation.grip.channels import channels
 from vehicle_client.estimation.grip.forces import axle_forces
 from vehicle_client.estimation.grip.likelihood import log_likelihood
+from vehicle_client.estimation.grip.motion import Evidence
 
 if TYPE_CHECKING:
     from roadgrip.units import FloatArray
@@ -30,6 +31,8 @@ COARSE_MU = np.geomspace(0.10, 1.25, 21)
 _COARSE_STEP = float(np.log(COARSE_MU[1] / COARSE_MU[0]))
 _FINE_OFFSETS = _COARSE_STEP * np.linspace(-1.1, 1.1, 18)
 """Natural logarithms, around the best of the coarse grid; an even number, so that no friction is asked about twice."""
+_CHANNELS = (Evidence.STEERING, Evidence.DRIFT, Evidence.WHEELS)
+_DEMAND_LIMIT_MU = 10.0
 _TIE = 1e-6
 """Frictions whose likelihoods differ by less are equally good: rounding is no evidence."""
 
@@ -37,7 +40,8 @@ _TIE = 1e-6
 def grip_evidence(motion: Motion, *, handling: Handling, geometry: VehicleGeometry, noise: GripNoise) -> FloatArray:
     """Return the grip features, in the order of the feature table.
 
-    Mirroring the drive left to right changes none of them.
+    Mirroring the drive left to right changes none of them. What tells nothing, be it that a sensor is absent or that
+    the road was straight, has the middle of the grid for its best friction and both ends for its distances.
 
     Args:
         motion: Over the section, at least one sample inside.
@@ -50,17 +54,19 @@ def grip_evidence(motion: Motion, *, handling: Handling, geometry: VehicleGeomet
     def profiles(friction_mu: FloatArray) -> tuple[dict[str, FloatArray], Channels]:
         found = channels(motion, forces, friction_mu, handling=handling, geometry=geometry, noise=noise)
         weight = motion.counted_weight
-        limit = -0.5 * (found.excess_ratio**2 * weight).sum(axis=1)
-        steering = limit + log_likelihood(found.steering, weight)
-        drift = log_likelihood(found.drift, weight)
-        wheels = log_likelihood(found.wheel_slip, weight)
         told = {
-            "all": steering + drift + wheels,
-            "steering": steering,
-            "drift": limit + drift,
-            "wheels": limit + wheels,
+            Evidence.LIMIT: -0.5 * (found.excess_ratio**2 @ weight),
+            Evidence.STEERING: log_likelihood(found.steering, weight),
+            Evidence.DRIFT: log_likelihood(found.drift, weight),
+            Evidence.WHEELS: log_likelihood(found.wheel_slip, weight),
         }
-        return told, found
+        told |= {silent: np.zeros(len(friction_mu)) for silent in motion.silent}
+        by_shape = {"all": sum(told.values(), start=np.zeros(len(friction_mu)))}
+        for channel in _CHANNELS:
+            # What cannot be counts for each of them, but gives no voice to one that has none.
+            limit = 0.0 if channel in motion.silent else told[Evidence.LIMIT]
+            by_shape[str(channel)] = told[channel] + limit
+        return by_shape, found
 
     coarse, found = profiles(COARSE_MU)
     fine_mu = COARSE_MU[_top(coarse["all"])] * np.exp(_FINE_OFFSETS)
@@ -128,7 +134,7 @@ def _shape(peak: _Peak, samples: float, drops: tuple[float, ...]) -> FloatArray:
     top, log_mu, deviation = peak.top, peak.log_mu, peak.deviation
     below = [_distance(log_mu[top::-1], -deviation[top::-1], drop) for drop in drops]
     above = [_distance(log_mu[top:], deviation[top:], drop) for drop in drops]
-    return np.array([float(np.exp(log_mu[top])), *below, *above, min(-peak.height / samples, MISFIT_LIMIT)])
+    return np.array([float(np.exp(log_mu[top])), *below, *above, min(max(-peak.height / samples, 0.0), MISFIT_LIMIT)])
 
 
 def _distance(log_mu: FloatArray, deviation: FloatArray, drop: float) -> float:
@@ -147,6 +153,6 @@ def _demand(motion: Motion, demand_mu: FloatArray) -> FloatArray:
     inside = motion.inside
     across, along = np.abs(motion.force_y_mps2[inside]), motion.force_x_mps2[inside]
     turning = np.abs(motion.yaw_rate_radps[inside])
-    ordered = np.sort(demand_mu)
+    ordered = np.minimum(np.sort(demand_mu), _DEMAND_LIMIT_MU)
     at = [ordered[round(level * (len(ordered) - 1))] for level in GRIP_DEMAND_LEVELS_FRAC]
     return np.array([*at, across.max(), across.mean(), along.min(), along.max(), turning.max()])

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from vehicle_client.estimation.vehicle_geometry import VehicleGeometry
 
 _LOAD_MIN_FRAC = 0.02
-"""Of its axle's load that a wheel keeps: no curve is read for one that hangs in the air."""
+"""Share of its load that an axle keeps, and of its axle's that a wheel does: nothing hangs in the air."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,8 +46,8 @@ def axle_forces(motion: Motion, *, handling: Handling, geometry: VehicleGeometry
     mass, wheelbase, tyre = handling.mass_kg, geometry.wheelbase_m, handling.tyre
     ahead, behind = geometry.front_axle_m / wheelbase, geometry.rear_axle_m / wheelbase
     pitch_n = mass * handling.cog_height_m * motion.force_x_mps2 / wheelbase
-    front_load = mass * motion.normal_mps2 * behind - pitch_n
-    rear_load = mass * motion.normal_mps2 * ahead + pitch_n
+    front_load = _at_least(_LOAD_MIN_FRAC, mass * motion.normal_mps2 * behind, shifted_n=-pitch_n)
+    rear_load = _at_least(_LOAD_MIN_FRAC, mass * motion.normal_mps2 * ahead, shifted_n=pitch_n)
     side_n = mass * motion.force_y_mps2 / geometry.track_m
     front_wheels = _wheels(front_load, side_n * handling.front_transfer_height_m, tyre)
     rear_wheels = _wheels(rear_load, side_n * handling.rear_transfer_height_m, tyre)
@@ -90,7 +90,11 @@ def axle_forces(motion: Motion, *, handling: Handling, geometry: VehicleGeometry
 
 def _wheels(axle_load_n: FloatArray, shift_n: FloatArray, tyre: TyreCurve) -> tuple[WheelCurve, WheelCurve]:
     """Return the curves of the left and the right wheel; in a left turn load shifts to the right."""
-    least = _LOAD_MIN_FRAC * axle_load_n
-    left = np.maximum(0.5 * axle_load_n - shift_n, least)
-    right = np.maximum(0.5 * axle_load_n + shift_n, least)
+    half = 0.5 * axle_load_n
+    left = _at_least(2.0 * _LOAD_MIN_FRAC, half, shifted_n=-shift_n)
+    right = _at_least(2.0 * _LOAD_MIN_FRAC, half, shifted_n=shift_n)
     return wheel_curve(left, tyre), wheel_curve(right, tyre)
+
+
+def _at_least(frac: float, load_n: FloatArray, *, shifted_n: FloatArray) -> FloatArray:
+    return np.maximum(load_n + shifted_n, frac * load_n)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import StrEnum
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from roadgrip.units import GRAVITY_MPS2, SAMPLE_S
 from vehicle_client.estimation.filters import EDGE_SAMPLES_COUNT, rate_of_change, smoothed
+from vehicle_client.estimation.trace import WHEELS
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -25,10 +27,31 @@ MEAN_OF_COUNT = 20
 STEP_MIN_COUNT = 10
 SAMPLES_LIMIT_COUNT = 300
 """Longer passages are sampled more coarsely, so that the work has a bound."""
+NORMAL_MIN_MPS2 = 3.0
+"""Cars do not fly; a map that says so has a kink."""
 _MARGIN_COUNT = 50
 """Samples before and after the section: slow parts need some room to be told from ends."""
 _REACH_COUNT = EDGE_SAMPLES_COUNT + 1 + MEAN_OF_COUNT // 2
 """How far from a sample the values lie that its smoothed rate's mean is made of."""
+
+
+class Evidence(StrEnum):
+    """Where slip shows, or that a force could not be more."""
+
+    LIMIT = "limit"
+    STEERING = "steering"
+    DRIFT = "drift"
+    WHEELS = "wheels"
+
+
+_TURNING = frozenset({"accel_y_mps2", "yaw_rate_radps"})
+_NEEDED = {
+    Evidence.LIMIT: _TURNING,
+    Evidence.STEERING: _TURNING | {"steer_rad"},
+    Evidence.DRIFT: _TURNING,
+    # Front wheels roll along a path that the steering tells.
+    Evidence.WHEELS: _TURNING | {"steer_rad", "accel_x_mps2"} | {f"wheel_{wheel}_mps" for wheel in WHEELS},
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +73,7 @@ class Motion:
         bank_rad: Cross slope of the road, left edge up positive.
         front_wheels_mps: Mean of both front wheels.
         rear_wheels_mps: Mean of both rear wheels.
+        silent: What tells nothing of friction, since a sensor that it needs is absent.
     """
 
     step_s: float
@@ -66,6 +90,18 @@ class Motion:
     bank_rad: FloatArray
     front_wheels_mps: FloatArray
     rear_wheels_mps: FloatArray
+    silent: frozenset[Evidence] = frozenset()
+
+
+def silent_without(absent: tuple[str, ...]) -> frozenset[Evidence]:
+    """Return what tells nothing of friction on a car that lacks some sensors.
+
+    Without the lateral force or the turning nothing does: whatever stands in for one of them is made of the other.
+
+    Args:
+        absent: As in `Trace`.
+    """
+    return frozenset(evidence for evidence, needed in _NEEDED.items() if needed & set(absent))
 
 
 def motion_over(
@@ -79,6 +115,7 @@ def motion_over(
     wheel_speed_mps: FloatArray,
     handling: Handling,
     level_gain_ratio: float,
+    absent: tuple[str, ...] = (),
 ) -> Motion:
     """Return the motion over a section, from signals every 10 ms.
 
@@ -95,6 +132,7 @@ def motion_over(
         wheel_speed_mps: Columns as in `WHEELS`. (n, 4)
         handling: Of the own car.
         level_gain_ratio: Which share of the difference between both means is taken off.
+        absent: Channels that the car lacks, as in `Trace`; turning, change of speed and map then stand in for forces.
     """
     first, last = np.flatnonzero(inside)[[0, -1]]
     start, end = max(0, int(first) - _MARGIN_COUNT), min(len(inside), int(last) + _MARGIN_COUNT + 1)
@@ -113,10 +151,14 @@ def motion_over(
     force_y = measured.accel_y_mps2[here] / (1.0 + GRAVITY_MPS2 * handling.roll_gradient_s2pm)
     force_x = measured.accel_x_mps2[here] / (1.0 + GRAVITY_MPS2 * handling.pitch_gradient_s2pm)
     turning = yaw_rate * speed + GRAVITY_MPS2 * np.sin(bank)
+    if "accel_y_mps2" in absent:
+        force_y = turning
+    if "accel_x_mps2" in absent:
+        force_x = rate_of_change(speed) + GRAVITY_MPS2 * np.sin(np.arctan(grade))
     force_y = force_y + level_gain_ratio * float((turning - force_y)[counted].mean())
     # Banked inwards (negative in a left turn), or in a dip, a road bears more than the car's weight.
     normal = GRAVITY_MPS2 * np.cos(bank) / np.sqrt(1.0 + grade**2) + speed**2 * crest
-    normal -= speed * yaw_rate * slope
+    normal = np.maximum(normal - speed * yaw_rate * slope, NORMAL_MIN_MPS2)
     wheels = wheel_speed_mps[here]
     signals = (
         speed,
@@ -151,6 +193,7 @@ def motion_over(
         bank_rad=banked,
         front_wheels_mps=front,
         rear_wheels_mps=rear,
+        silent=silent_without(absent),
     )
 
 
