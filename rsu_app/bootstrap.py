@@ -24,6 +24,7 @@ from roadgrip.signing import Signer, Verifier, signer_from_pem, verifier_from_pe
 from roadgrip.wire import encode_message
 from rsu_app.adapters.clocks import AcceleratedClock, SystemClock
 from rsu_app.domain.advisory import AdvisoryPolicy
+from rsu_app.domain.change import ChangePolicy
 from rsu_app.domain.interval import IntervalPolicy
 from rsu_app.gateway import FrameGateway
 from rsu_app.intake import PassageIntake, TimedModel
@@ -93,6 +94,7 @@ def build(settings: Settings, *, metrics: Metrics, sections: tuple[RoadSection, 
             stale_after_s=settings.window.stale_after_s,
             valid_at_most_s=settings.window.valid_at_most_s,
         ),
+        change_policy=_change_policy(settings),
         limits=UnitLimits(
             window_s=settings.window.length_s,
             subscribers_count=settings.http.stream_clients_limit_count,
@@ -329,6 +331,11 @@ def _advisory_policy(settings: Settings) -> AdvisoryPolicy:
         rise_margin_mps=settings.advisory.rise_margin_mps,
         valid_for_s=settings.advisory.valid_for_s,
     )
+
+
+def _change_policy(settings: Settings) -> ChangePolicy | None:
+    chosen = settings.change_detection
+    return ChangePolicy(**chosen.model_dump(exclude={"enabled"})) if chosen.enabled else None
 
 
 def _section(file: str) -> RoadSection:

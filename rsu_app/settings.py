@@ -117,6 +117,53 @@ class WindowSettings(_Group):
         return self
 
 
+class ChangeDetectionSettings(_Group):
+    """Whether friction that changes within the hour cuts the window, and what it takes. Amounts are of ln mu."""
+
+    enabled: bool = Field(
+        default=False, description="Whether estimates from before a change of the friction stop counting."
+    )
+    clip_ratio: float = Field(
+        default=0.2, gt=0.0, le=2.0, description="No single vehicle's deviation adds more than this."
+    )
+    slack_ratio: float = Field(
+        default=0.11,
+        gt=0.0,
+        le=2.0,
+        description="What every deviation is lessened by; above what the wear of tyres spreads.",
+    )
+    drop_threshold_ratio: float = Field(default=0.5, gt=0.0, le=20.0, description="Sum at which a drop is believed.")
+    rise_threshold_ratio: float = Field(
+        default=1.0, gt=0.0, le=20.0, description="Sum at which a rise is believed; not below that of a drop."
+    )
+    reference_count: int = Field(
+        default=30, ge=1, le=200, description="Vehicles whose median is what was found before."
+    )
+    reference_from_count: int = Field(
+        default=6, ge=1, le=200, description="With fewer than this there is no telling what was found before."
+    )
+    lag_count: int = Field(
+        default=8, ge=1, le=200, description="Newest vehicles that are not yet part of what was found before."
+    )
+    kept_count: int = Field(default=10, ge=10, le=500, description="The newest vehicles that count whatever changed.")
+    watched_count: int = Field(
+        default=1_000, ge=500, le=1_000, description="The newest vehicles that are looked at; bounds the work."
+    )
+
+    @model_validator(mode="after")
+    def _in_order(self) -> ChangeDetectionSettings:
+        if not self.slack_ratio < self.clip_ratio:
+            message = "slack_ratio must lie below clip_ratio, or no change is ever seen"
+            raise ValueError(message)
+        if not self.drop_threshold_ratio <= self.rise_threshold_ratio:
+            message = "rise_threshold_ratio must not be below drop_threshold_ratio"
+            raise ValueError(message)
+        if self.reference_from_count > self.reference_count:
+            message = "reference_from_count must not be above reference_count"
+            raise ValueError(message)
+        return self
+
+
 class AdvisorySettings(_Group):
     """How careful the advice is."""
 
@@ -293,6 +340,7 @@ class Settings(BaseSettings):
     database: DatabaseSettings = DatabaseSettings()
     model: ModelSettings = ModelSettings()
     window: WindowSettings = WindowSettings()
+    change_detection: ChangeDetectionSettings = ChangeDetectionSettings()
     advisory: AdvisorySettings = AdvisorySettings()
     http: HttpSettings = HttpSettings()
     udp: UdpSettings = UdpSettings()

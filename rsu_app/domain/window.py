@@ -72,6 +72,7 @@ class FrictionWindow:
         self._ordered_mu: list[float] = []
         self._by_time: list[WindowEntry] = []
         self._rows: WindowRows | None = None
+        self._newest: tuple[int, WindowRows] | None = None
 
     def __len__(self) -> int:
         """Return how many estimates are held; those that grew too old count until `evict`."""
@@ -88,11 +89,28 @@ class FrictionWindow:
         return self._by_time[-1].left_at_s if self._by_time else -inf
 
     @property
+    def oldest_left_at_s(self) -> float:
+        """When the first vehicle of the window left the section; infinity when the window is empty."""
+        return self._by_time[0].left_at_s if self._by_time else inf
+
+    @property
     def rows(self) -> WindowRows:
         """All entries, oldest first; to be read, not changed. Made once after each change of the window."""
         if self._rows is None:
             self._rows = _rows(self._by_time)
         return self._rows
+
+    def newest_rows(self, limit_count: int) -> WindowRows:
+        """Return the newest entries, oldest first, at most so many; to be read, not changed.
+
+        Made once after each change of the window, in a time that the limit bounds and the window does not.
+
+        Args:
+            limit_count: Entries that are wanted at most, above zero.
+        """
+        if self._newest is None or self._newest[0] != limit_count:
+            self._newest = limit_count, _rows(self._by_time[-limit_count:])
+        return self._newest[1]
 
     def add(
         self,
@@ -122,7 +140,7 @@ class FrictionWindow:
             raise ValueError(f"estimate {mu} at {left_at_s} s says that friction is at least {mu_low}")
         insort(self._by_time, WindowEntry(left_at_s, mu, at_least, mu_low, expected_error_ratio))
         insort(self._ordered_mu, mu)
-        self._rows = None
+        self._rows = self._newest = None
         if len(self._by_time) > self.capacity_count:
             self._drop_oldest()
 
@@ -141,7 +159,7 @@ class FrictionWindow:
     def _drop_oldest(self) -> None:
         mu = self._by_time.pop(0).mu
         del self._ordered_mu[bisect_left(self._ordered_mu, mu)]
-        self._rows = None
+        self._rows = self._newest = None
 
 
 def _rows(entries: Sequence[WindowEntry]) -> WindowRows:

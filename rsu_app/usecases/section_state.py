@@ -13,11 +13,29 @@ from roadgrip.records import Advisory, Passage
 from roadgrip.section import RoadSection
 from roadgrip.units import FloatArray
 from rsu_app.domain.advisory import AdvisoryPolicy
+from rsu_app.domain.change import ChangePolicy
 from rsu_app.domain.judgement import Judgement, judgement
 from rsu_app.domain.plausibility import summary_values
-from rsu_app.domain.window import FrictionWindow
+from rsu_app.domain.pooling import RefinedInterval
+from rsu_app.domain.watch import ChangeWatch
+from rsu_app.domain.window import FrictionWindow, WindowRows
 from rsu_app.ports import FrictionModel
 from rsu_app.usecases.changes import Subscription
+
+
+@dataclass(frozen=True, slots=True)
+class RememberedRefined:
+    """A refined interval with what it was made from, so that it is made once.
+
+    Attributes:
+        rows: The window's newest entries; another object once the window has changed.
+        counted_from_s: From when on they counted.
+        interval: What they said.
+    """
+
+    rows: WindowRows
+    counted_from_s: float
+    interval: RefinedInterval
 
 
 @dataclass(slots=True)
@@ -30,7 +48,9 @@ class SectionState:
         road_rows: The features that follow from the map, by the digest of the feature table.
         window: The estimates of the last hour.
         listeners: Who is told of changes.
+        watch: Looks for changes of the friction; None where that is not wanted.
         advisory: What drivers were told last; None before the first time.
+        refined: The refined interval that was asked for last.
     """
 
     section: RoadSection
@@ -38,7 +58,9 @@ class SectionState:
     road_rows: Mapping[str, FloatArray]
     window: FrictionWindow
     listeners: set[Subscription]
+    watch: ChangeWatch | None = None
     advisory: Advisory | None = None
+    refined: RememberedRefined | None = None
 
 
 def section_states(
@@ -48,6 +70,7 @@ def section_states(
     section_policies: Mapping[str, AdvisoryPolicy],
     window_s: float,
     window_capacity_count: int,
+    change_policy: ChangePolicy | None = None,
 ) -> dict[str, SectionState]:
     """Return a fresh state for each section, by its id.
 
@@ -57,6 +80,7 @@ def section_states(
         section_policies: By section id.
         window_s: How long an estimate counts.
         window_capacity_count: Estimates per section that are counted at once.
+        change_policy: When a road is held to have changed; None does not look for it.
 
     Raises:
         ConfigurationError: The sections or policies contradict themselves.
@@ -71,6 +95,7 @@ def section_states(
             road_rows=_road_rows(section),
             window=FrictionWindow(window_s=window_s, capacity_count=window_capacity_count),
             listeners=set(),
+            watch=None if change_policy is None else ChangeWatch(policy=change_policy, window_s=window_s),
         )
     if not states:
         raise ConfigurationError("a unit without a section has nothing to do")

@@ -26,13 +26,17 @@ from roadgrip.records import (
 from roadgrip.section import RoadSection
 from roadgrip.units import WINDOW_S
 from rsu_app.domain.advisory import AdvisoryPolicy, advise
-from rsu_app.domain.interval import IntervalPolicy, friction_interval
+from rsu_app.domain.change import ChangePolicy
+from rsu_app.domain.interval import IntervalPolicy
 from rsu_app.domain.plausibility import age_flag, implausibility
+from rsu_app.domain.pooling import PoolingPolicy
+from rsu_app.domain.watch import MEMORY_WINDOWS_COUNT
 from rsu_app.domain.window import CAPACITY_COUNT, WindowRows
 from rsu_app.ports import Clock, Event, FrictionModel, PassageEntry, PassageStore, StoredEstimate
 from rsu_app.usecases.changes import Subscription
 from rsu_app.usecases.readiness import Check, ClockWatch, Readiness, check_golden, model_check, store_check
 from rsu_app.usecases.recall import Recall, content_digest, outcome_of_repetition, values_digest
+from rsu_app.usecases.section_friction import SectionFriction, published_interval, section_friction
 from rsu_app.usecases.section_state import SectionState, judged_passage, section_states
 
 
@@ -79,6 +83,8 @@ class RoadSideUnit:
         policy: What the road authority decides about advice.
         section_policies: Decisions for single sections that replace `policy`, by section id.
         interval_policy: What the operator decides about intervals.
+        pooling_policy: What the refined interval assumes.
+        change_policy: When a road is held to have changed, so that older estimates no longer count; None never.
         limits: How far things may grow.
 
     Raises:
@@ -96,11 +102,16 @@ class RoadSideUnit:
         policy: AdvisoryPolicy | None = None,
         section_policies: Mapping[str, AdvisoryPolicy] | None = None,
         interval_policy: IntervalPolicy | None = None,
+        pooling_policy: PoolingPolicy | None = None,
+        change_policy: ChangePolicy | None = None,
         limits: UnitLimits | None = None,
         model_absence: str = "no model is loaded",
     ) -> None:
         self._limits = limits or UnitLimits()
         self._interval_policy = interval_policy or IntervalPolicy()
+        self._pooling_policy = pooling_policy or PoolingPolicy()
+        # A change within the last hour can only be told by what was found before.
+        self._memory_s = self._limits.window_s * (1 if change_policy is None else MEMORY_WINDOWS_COUNT)
         self._store = store
         self._clock = clock
         self._clock_watch = ClockWatch(clock)
@@ -115,6 +126,7 @@ class RoadSideUnit:
             section_policies=section_policies or {},
             window_s=self._limits.window_s,
             window_capacity_count=self._limits.window_capacity_count,
+            change_policy=change_policy,
         )
         if model is not None:
             check_golden(model)
@@ -162,14 +174,13 @@ class RoadSideUnit:
         if not self._clock_watch.plausible:
             return 0
         remembered = await self._store.load(
-            since_unix_s=self._clock.unix_s() - self._limits.window_s, limit_count=self._limits.recall_count
+            since_unix_s=self._clock.unix_s() - self._memory_s, limit_count=self._limits.recall_count
         )
         unix_s, monotonic_s = self._clock.unix_s(), self._clock.monotonic_s()
         counted_count = 0
         for estimate in remembered:
             age_s = unix_s - estimate.left_unix_s
-            in_window = 0.0 <= age_s <= self._limits.window_s
-            counted_count += self._admit(estimate, left_at_s=monotonic_s - age_s if in_window else None)
+            counted_count += self._admit(estimate, left_at_s=monotonic_s - age_s, age_s=age_s)
         self._restored = True
         self.refresh()
         return counted_count
@@ -232,6 +243,18 @@ class RoadSideUnit:
             return self._unknown(section_id)
         state.window.evict(now_s=self._clock.monotonic_s())
         return state.window.rows
+
+    def current_friction(self, section_id: str) -> SectionFriction | Rejected | None:
+        """Return the interval of a section with the second opinion beside it, None if no vehicle is behind it."""
+        state = self._states.get(section_id)
+        if state is None:
+            return self._unknown(section_id)
+        return section_friction(
+            state,
+            now_s=self._clock.monotonic_s(),
+            policy=self._interval_policy,
+            pooling_policy=self._pooling_policy,
+        )
 
     def current_advisory(self, section_id: str) -> Advisory | Rejected:
         """Return what drivers on a section are told now."""
@@ -366,26 +389,32 @@ class RoadSideUnit:
             return Rejected(Reason.STORE_UNAVAILABLE, str(error))
         if known is not None:
             return outcome_of_repetition(known, passage_id=estimate.passage_id, content=estimate.content_digest)
-        if self._admit(estimate, left_at_s=left_at_s):
+        if self._admit(estimate, left_at_s=left_at_s, age_s=entry.passage.age_s):
             state = self._states[estimate.section_id]
             self._advisory(state)
             _notify(state)
         return Accepted(estimate.flags)
 
-    def _admit(self, estimate: StoredEstimate, *, left_at_s: float | None) -> bool:
+    def _admit(self, estimate: StoredEstimate, *, left_at_s: float, age_s: float) -> bool:
         """Remember a stored estimate and return whether it counts from now on.
 
         Once only: restoring may read a passage back between its commit and the moment its sender is answered.
 
         Args:
             estimate: What the store holds.
-            left_at_s: When the vehicle left the section, by the monotonic clock; None if that is not in the window.
+            left_at_s: When the vehicle left the section, by the monotonic clock.
+            age_s: How long ago that is, by the clock that knows.
         """
         if estimate.passage_id in self._recall:
             return False
         self._recall.remember(estimate)
         state = self._states.get(estimate.section_id)
-        if state is None or left_at_s is None or estimate.mu is None or estimate.flags != NotCounted.NONE:
+        in_memory = 0.0 <= age_s <= self._memory_s
+        if state is None or not in_memory or estimate.mu is None or estimate.flags != NotCounted.NONE:
+            return False
+        if state.watch is not None and not estimate.at_least:
+            state.watch.add(left_at_s=left_at_s, mu=estimate.mu)
+        if age_s > self._limits.window_s:
             return False
         state.window.add(
             left_at_s=left_at_s,
@@ -397,13 +426,7 @@ class RoadSideUnit:
         return True
 
     def _interval(self, state: SectionState) -> FrictionInterval | None:
-        now_s = self._clock.monotonic_s()
-        state.window.evict(now_s=now_s)
-        return friction_interval(
-            state.window.ordered_mu,
-            newest_age_s=max(0.0, now_s - state.window.newest_left_at_s),
-            policy=self._interval_policy,
-        )
+        return published_interval(state, now_s=self._clock.monotonic_s(), policy=self._interval_policy)
 
     def _advisory(self, state: SectionState) -> Advisory:
         state.advisory = advise(

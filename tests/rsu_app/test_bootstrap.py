@@ -164,6 +164,22 @@ def test_each_section_has_its_own_winter_speed(folder):
     asyncio.run(scenario())
 
 
+@pytest.mark.parametrize("enabled", [False, True])
+def test_changes_are_looked_for_where_that_is_chosen(folder, enabled):
+    async def scenario() -> None:
+        parts = parts_of(folder, f"[change_detection]\nenabled = {str(enabled).lower()}\n")
+        (section, *_) = load_sections(parts.settings)
+        for seed in range(42):
+            mu = 0.6 if seed < 30 else 0.25
+            await parts.unit.ingest_passage(make_passage(section, seed=seed, mu=mu, age_s=500.0 - 10.0 * seed))
+        interval = parts.unit.current_interval(section.section_id)
+        assert isinstance(interval, FrictionInterval)
+        assert interval.passages_count == (12 if enabled else 42)
+        await parts.unit.close()
+
+    asyncio.run(scenario())
+
+
 def test_a_section_given_twice_is_refused(folder):
     with pytest.raises(ConfigurationError, match="twice"):
         parts_of(folder, '[[sections]]\nfile = "s-turn"\n[[sections]]\nfile = "s-turn"\n')

@@ -4,6 +4,7 @@ import pytest
 from pydantic import ValidationError
 
 from roadgrip.errors import ConfigurationError
+from rsu_app.domain.change import ChangePolicy
 from rsu_app.settings import Settings, load_settings, settings_rows, settings_table
 
 
@@ -60,6 +61,10 @@ def test_a_packaged_section_keeps_its_name(tmp_path):
         ("[clock]\nspeedup_ratio = nan\n", "clock.speedup_ratio"),
         ("[clock]\nspeedup_ratio = inf\n", "clock.speedup_ratio"),
         ("[signing]\nrequired = true\n", "signing: required needs trusted_keys_folder"),
+        ("[change_detection]\nkept_count = 9\n", "change_detection.kept_count"),
+        ("[change_detection]\nslack_ratio = 0.3\n", "change_detection: slack_ratio must lie below"),
+        ("[change_detection]\nrise_threshold_ratio = 0.1\n", "change_detection: rise_threshold_ratio must not"),
+        ("[change_detection]\nreference_from_count = 31\n", "change_detection: reference_from_count must not"),
         ("sections = []\n", "sections"),
         ("[http\n", "not TOML"),
         ("http = 3\n", "http"),
@@ -99,6 +104,12 @@ def test_every_setting_is_described():
 
 def test_the_operators_page_holds_the_table_of_settings(project_root):
     assert settings_table() in (project_root / "deploy/README.md").read_text(encoding="utf-8")
+
+
+def test_the_settings_of_change_detection_are_what_the_detector_assumes():
+    fields = Settings().change_detection.model_dump()
+    assert fields.pop("enabled") is False
+    assert ChangePolicy(**fields) == ChangePolicy()
 
 
 def test_the_example_configuration_is_the_defaults_spelt_out(project_root):

@@ -5,6 +5,7 @@ The models only say what JSON is; whether a passage is plausible is decided wher
 
 from __future__ import annotations
 
+from math import isfinite
 from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field, JsonValue
@@ -13,16 +14,17 @@ from roadgrip.features import NEWEST_TABLE
 from roadgrip.records import (
     PASSAGE_ID_BYTES,
     Accepted,
-    Advisory,
+    AdvisoryNotice,
     AdvisoryReason,
     Confidence,
-    FrictionInterval,
     KinematicSummary,
     NotCounted,
     Passage,
     QualityFlag,
 )
 from roadgrip.section import BankOrigin, Direction, RoadSection
+from rsu_app.domain.pooling import RefinedInterval
+from rsu_app.usecases import SectionFriction
 
 HexId = Annotated[
     str,
@@ -41,6 +43,14 @@ class _Model(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=True)
 
 
+_REFINED_EXAMPLE: dict[str, JsonValue] = {
+    "mu_low": 0.284,
+    "mu_new": 0.355,
+    "half_width_mu": 0.024,
+    "informative_count": 49,
+    "censored_count": 8,
+    "at_least": False,
+}
 _INTERVAL_EXAMPLE: dict[str, JsonValue] = {
     "mu_low": 0.28,
     "mu_new": 0.35,
@@ -52,6 +62,9 @@ _INTERVAL_EXAMPLE: dict[str, JsonValue] = {
     "confidence": "recommended",
     "newest_age_s": 41.5,
     "valid_for_s": 300.0,
+    "at_least": False,
+    "since_change_s": 1250.0,
+    "refined": _REFINED_EXAMPLE,
 }
 
 
@@ -90,6 +103,22 @@ class SectionsModel(_Model):
     sections: tuple[SectionModel, ...]
 
 
+class RefinedModel(_Model):
+    """A second opinion beside the published interval: each estimate by its expected error, bounds as bounds."""
+
+    model_config = _with_example(_REFINED_EXAMPLE)
+
+    mu_low: float = Field(description="Lower end, 0.8 mu_new.")
+    mu_new: float = Field(description="What a new tyre finds; within 2 % of what the median places.")
+    half_width_mu: float | None = Field(
+        description="mu_new lies this near with 95 %, an error that all vehicles share included; "
+        "null while nothing bounds the friction from above."
+    )
+    informative_count: int = Field(description="Vehicles that name a friction, among the newest thousand that count.")
+    censored_count: int = Field(description="Vehicles of those that only say that it is at least so much.")
+    at_least: bool = Field(description="So few name a friction that mu_low and mu_new are lower bounds.")
+
+
 class IntervalModel(_Model):
     """The friction that tyres from worn to new find on a section, from the median of the last hour."""
 
@@ -105,6 +134,13 @@ class IntervalModel(_Model):
     confidence: Confidence
     newest_age_s: float
     valid_for_s: float
+    at_least: bool = Field(
+        description="So few vehicles name a friction that the interval is not much more than a lower bound."
+    )
+    since_change_s: float | None = Field(
+        description="Only vehicles since a change of the friction count, the first of them so long ago; null without."
+    )
+    refined: RefinedModel
 
 
 class FrictionModel(_Model):
@@ -280,10 +316,23 @@ def section_model(section: RoadSection, table_digests: tuple[str, ...]) -> Secti
     )
 
 
-def interval_model(interval: FrictionInterval | None) -> IntervalModel | None:
-    """Return the interval as JSON shows it."""
-    if interval is None:
+def refined_model(refined: RefinedInterval) -> RefinedModel:
+    """Return the second opinion as JSON shows it."""
+    return RefinedModel(
+        mu_low=refined.mu_low,
+        mu_new=refined.mu_new,
+        half_width_mu=refined.half_width_mu if isfinite(refined.half_width_mu) else None,
+        informative_count=refined.informative_count,
+        censored_count=refined.censored_count,
+        at_least=refined.at_least,
+    )
+
+
+def interval_model(friction: SectionFriction | None) -> IntervalModel | None:
+    """Return the interval and what stands beside it as JSON shows it."""
+    if friction is None:
         return None
+    interval = friction.interval
     return IntervalModel(
         mu_low=interval.mu_low,
         mu_new=interval.mu_new,
@@ -295,11 +344,15 @@ def interval_model(interval: FrictionInterval | None) -> IntervalModel | None:
         confidence=interval.confidence,
         newest_age_s=interval.newest_age_s,
         valid_for_s=interval.valid_for_s,
+        at_least=friction.at_least,
+        since_change_s=friction.since_change_s,
+        refined=refined_model(friction.refined),
     )
 
 
-def advisory_model(section: RoadSection, advisory: Advisory, *, issued_unix_s: int) -> AdvisoryModel:
-    """Return the advisory as JSON shows it."""
+def advisory_model(section: RoadSection, notice: AdvisoryNotice, friction: SectionFriction | None) -> AdvisoryModel:
+    """Return the advisory as JSON shows it, with the friction behind it."""
+    advisory = notice.advisory
     return AdvisoryModel(
         section_id=section.section_id,
         map_version=section.version,
@@ -307,8 +360,8 @@ def advisory_model(section: RoadSection, advisory: Advisory, *, issued_unix_s: i
         reason=advisory.reason,
         confidence=advisory.confidence,
         valid_for_s=advisory.valid_for_s,
-        issued_unix_s=issued_unix_s,
-        interval=interval_model(advisory.interval),
+        issued_unix_s=notice.issued_unix_s,
+        interval=interval_model(friction),
     )
 
 

@@ -59,8 +59,9 @@ async def page(site: SiteOf) -> HTMLResponse:
     views = []
     for section_id in site.unit.section_ids:
         offer, advisory = site.unit.map_offer(section_id), site.unit.current_advisory(section_id)
-        if not (isinstance(offer, Rejected) or isinstance(advisory, Rejected)):
-            views.append(SectionView(offer.section, advisory))
+        friction = site.unit.current_friction(section_id)
+        if not (isinstance(offer, Rejected) or isinstance(advisory, Rejected) or isinstance(friction, Rejected)):
+            views.append(SectionView(offer.section, advisory, friction))
     problems = tuple(f"{c.name}: {c.detail}" for c in readiness.checks if c.required and not c.ok)
     return HTMLResponse(status_page(views, problems=problems, version=site.version))
 

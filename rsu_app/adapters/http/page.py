@@ -12,6 +12,7 @@ from html import escape
 from roadgrip.records import Advisory
 from roadgrip.section import RoadSection
 from roadgrip.units import mps_to_kph
+from rsu_app.usecases import SectionFriction
 
 _STYLE = """
 body { font: 16px/1.5 system-ui, sans-serif; max-width: 62rem; margin: 2rem auto; padding: 0 1rem; color: #1b2a33 }
@@ -30,10 +31,11 @@ _MU_AXIS = 1.2
 
 @dataclass(frozen=True, slots=True)
 class SectionView:
-    """A section and what is advised on it."""
+    """A section, what is advised on it, and the friction behind it; None while no vehicle tells of any."""
 
     section: RoadSection
     advisory: Advisory
+    friction: SectionFriction | None
 
 
 def status_page(views: Iterable[SectionView], *, problems: tuple[str, ...], version: str) -> str:
@@ -61,16 +63,17 @@ def status_page(views: Iterable[SectionView], *, problems: tuple[str, ...], vers
 def _article(view: SectionView) -> str:
     section, advisory = view.section, view.advisory
     here = f"/v1/sections/{section.section_id}"
-    interval = advisory.interval
-    if interval is None:
+    if view.friction is None:
         friction = '<p class="quiet">No friction to publish.</p>'
     else:
+        interval = view.friction.interval
         left = 100.0 * min(1.0, interval.mu_low / _MU_AXIS)
         width = 100.0 * min(1.0, interval.mu_new / _MU_AXIS) - left
         friction = (
             f'<div class="bar"><span style="left:{left:.1f}%;width:{max(0.5, width):.1f}%"></span></div>'
             f"<p>Friction {interval.mu_low:.2f} (worn tyre) to {interval.mu_new:.2f} (new tyre), "
             f"from {interval.passages_count} vehicles, the last {interval.newest_age_s / 60.0:.0f} min ago.</p>"
+            f'<p class="quiet">{escape(_second_opinion(view.friction))}</p>'
         )
     return f"""<article><h2>{escape(section.name or section.section_id)}</h2>
 <p><span class="speed">{mps_to_kph(advisory.speed_mps):.0f} km/h</span>
@@ -80,6 +83,20 @@ def _article(view: SectionView) -> str:
  limit {mps_to_kph(section.speed_limit_mps):.0f} km/h, map {escape(section.version)} ·
  <a href="{here}/advisory">advisory</a> · <a href="{here}/friction">friction</a> ·
  <a href="{here}/friction/stream">stream</a> · <a href="{here}/map">map</a></p></article>"""
+
+
+def _second_opinion(friction: SectionFriction) -> str:
+    refined = friction.refined
+    if refined.at_least:
+        text = f"Too few vehicles ({refined.informative_count}) name a friction: at least {refined.mu_low:.2f}."
+    else:
+        text = (
+            f"With each vehicle's expected error: {refined.mu_low:.2f} to {refined.mu_new:.2f} "
+            f"(upper end ± {refined.half_width_mu:.2f})."
+        )
+    if friction.since_change_s is not None:
+        text += f" The friction changed {friction.since_change_s / 60.0:.0f} min ago; vehicles before do not count."
+    return text
 
 
 def _words(code: str) -> str:

@@ -111,21 +111,18 @@ async def section_map(
 @router.get("/{section_id}/advisory", tags=["advice"], summary="What drivers are told now", responses=_NO_SECTION)
 async def section_advisory(site: SiteOf, section_id: SectionId) -> AdvisoryModel:
     """Return speed, reason, confidence and the friction behind it."""
-    return _advice(_known(site.unit.map_offer(section_id)).section, _known(site.unit.advisory_notice(section_id)))
+    return _advice(site, _known(site.unit.map_offer(section_id)).section, _known(site.unit.advisory_notice(section_id)))
 
 
 @router.get("/{section_id}/friction", tags=["advice"], summary="The friction interval", responses=_NO_SECTION)
 async def section_friction(site: SiteOf, section_id: SectionId) -> FrictionModel:
     """Return the interval from worn to new tyres; null while no vehicle is behind it."""
     notice = _known(site.unit.advisory_notice(section_id))
-    interval = site.unit.current_interval(section_id)
-    if isinstance(interval, Rejected):
-        raise refusal(interval.reason, interval.detail)
     return FrictionModel(
         section_id=section_id,
         map_version=notice.map_version,
         confidence=notice.advisory.confidence,
-        interval=interval_model(interval),
+        interval=interval_model(_known(site.unit.current_friction(section_id))),
     )
 
 
@@ -148,7 +145,7 @@ async def friction_stream(site: SiteOf, section_id: SectionId) -> Response:
     section = _known(site.unit.map_offer(section_id)).section
     return site.streams.response(
         _known(site.unit.subscribe(section_id)),
-        encode=lambda notice: _advice(section, notice).model_dump_json(),
+        encode=lambda notice: _advice(site, section, notice).model_dump_json(),
         heartbeat_s=site.stream_heartbeat_s,
     )
 
@@ -207,8 +204,8 @@ def _listed(offer: MapOffer) -> SectionModel:
     return section_model(offer.section, offer.table_digests)
 
 
-def _advice(section: RoadSection, notice: AdvisoryNotice) -> AdvisoryModel:
-    return advisory_model(section, notice.advisory, issued_unix_s=notice.issued_unix_s)
+def _advice(site: Site, section: RoadSection, notice: AdvisoryNotice) -> AdvisoryModel:
+    return advisory_model(section, notice, _known(site.unit.current_friction(section.section_id)))
 
 
 def _box(bbox: str) -> tuple[float, float, float, float]:

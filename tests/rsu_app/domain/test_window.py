@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from math import isnan
+from math import inf, isnan
 from statistics import median
 
 import numpy as np
@@ -125,3 +125,12 @@ def test_a_time_that_cannot_be_ordered_is_refused():
 def test_a_window_that_holds_nothing_cannot_be_made():
     with pytest.raises(ValueError, match="holds nothing"):
         FrictionWindow(window_s=0.0)
+
+
+@given(st.lists(st.floats(0.0, 100.0), max_size=30), st.integers(1, 10))
+def test_the_newest_rows_are_the_last_of_all(times_s, limit_count):
+    window = FrictionWindow()
+    for at_s in times_s:
+        window.add(left_at_s=at_s, mu=0.5)
+        assert window.newest_rows(limit_count).left_at_s.tolist() == sorted(window.rows.left_at_s)[-limit_count:]
+    assert window.oldest_left_at_s == min(times_s, default=inf)

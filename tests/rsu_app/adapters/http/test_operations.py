@@ -98,6 +98,13 @@ def test_the_page_shows_speed_and_why_without_anything_from_elsewhere():
     assert "//" not in page.replace("</", "")
 
 
+def test_the_page_shows_the_second_opinion():
+    under_test = make_unit(section=SECTION)
+    for seed in range(12):
+        asyncio.run(under_test.unit.ingest_passage(make_passage(SECTION, seed=seed, mu=0.45)))
+    assert "With each vehicle&#x27;s expected error: 0.4" in asked(under_test, "/").text
+
+
 def test_the_page_of_a_unit_that_is_not_ready_says_why():
     assert "no model is loaded" in asked(make_unit(section=SECTION, model=False), "/").text
 

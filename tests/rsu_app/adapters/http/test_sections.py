@@ -1,4 +1,5 @@
 import asyncio
+from math import inf
 from typing import Any
 
 import httpx
@@ -10,6 +11,8 @@ from roadgrip.records import MapOffer
 from roadgrip.section import GnssAnchor, build_section
 from roadgrip.section_file import section_from_json
 from roadgrip.wire import decode_message
+from rsu_app.adapters.http.models import refined_model
+from rsu_app.domain.pooling import RefinedInterval
 from tests.rsu_app.fakes import make_passage, make_section
 from tests.rsu_app.sites import UnitUnderTest, make_unit, passage_json
 
@@ -114,6 +117,28 @@ def test_friction_follows_the_passages():
     assert friction["confidence"] == "provisional"
     assert friction["interval"]["passages_count"] == 12
     assert friction["interval"]["mu_new"] == pytest.approx(0.5, abs=1e-5)
+
+
+def test_beside_the_interval_stands_what_expected_errors_make_of_it():
+    under_test = make_unit(section=SECTION)
+    for seed in range(12):
+        body = passage_json(make_passage(SECTION, seed=seed, mu=0.45))
+        asked(under_test, f"{HERE}/passages", method="POST", json=body)
+    interval = asked(under_test, f"{HERE}/friction").json()["interval"]
+    assert asked(under_test, f"{HERE}/advisory").json()["interval"] == interval
+    assert (interval["at_least"], interval["since_change_s"]) == (False, None)
+    refined = interval["refined"]
+    assert refined["mu_new"] == pytest.approx(interval["mu_new"], rel=0.021)
+    assert refined["mu_low"] == pytest.approx(0.8 * refined["mu_new"])
+    assert 0.0 < refined["half_width_mu"] < 0.1
+    assert (refined["informative_count"], refined["censored_count"], refined["at_least"]) == (12, 0, False)
+
+
+def test_a_bound_from_above_that_is_not_there_is_null():
+    refined = RefinedInterval(0.4, 0.5, inf, informative_count=1, censored_count=9, clipped=False, at_least=True)
+    shown = refined_model(refined)
+    assert shown.half_width_mu is None
+    assert shown.at_least
 
 
 def test_a_receipt_says_what_became_of_the_passage_and_never_the_estimate():

@@ -1,0 +1,194 @@
+"""What stands beside the published interval, and the interval of a window that is cut where friction changed."""
+
+from __future__ import annotations
+
+import asyncio
+import tracemalloc
+from dataclasses import replace
+from math import inf
+
+import numpy as np
+import pytest
+
+from roadgrip.reasons import Reason
+from roadgrip.records import Confidence
+from rsu_app.domain.change import ChangePolicy
+from rsu_app.usecases import SectionFriction, UnitLimits
+from rsu_app.usecases.section_friction import NEWEST_COUNT
+from tests.bundles import CONFORMAL, make_manifest
+from tests.rsu_app.fakes import FakeClock, FakeModel, make_passage
+from tests.rsu_app.usecases.site import SECTION, Site, reason_of
+
+
+def friction_of(site) -> SectionFriction:
+    friction = site.unit.current_friction(SECTION.section_id)
+    assert isinstance(friction, SectionFriction)
+    return friction
+
+
+async def traffic(site, *, mu_new, count, every_s=60.0, first_seed):
+    """Vehicles of unknown wear, one after the other."""
+    rng = np.random.default_rng(first_seed)
+    for i in range(count):
+        site.clock.advance(every_s)
+        mu = mu_new * rng.uniform(0.8, 1.0)
+        await site.unit.ingest_passage(make_passage(SECTION, seed=first_seed + i, mu=mu))
+
+
+def test_without_vehicles_there_is_no_friction():
+    assert Site().unit.current_friction(SECTION.section_id) is None
+
+
+def test_friction_of_a_section_that_is_not_served_is_refused():
+    assert reason_of(Site().unit.current_friction("nowhere")) is Reason.UNKNOWN_SECTION
+
+
+def test_the_refined_interval_stands_near_the_published_one():
+    site = Site()
+    asyncio.run(traffic(site, mu_new=0.5, count=40, first_seed=100))
+    friction = friction_of(site)
+    assert friction.interval == site.interval()
+    assert friction.refined.mu_new == pytest.approx(friction.interval.mu_new, rel=0.021)
+    assert friction.refined.informative_count == 40
+    assert not friction.at_least
+    assert friction.since_change_s is None
+
+
+class WaveringModel(FakeModel):
+    """Expects an error that makes every estimate doubtful, once it wavers."""
+
+    def __init__(self):
+        super().__init__(make_manifest(model=b"a fake has no file", conformal=CONFORMAL))
+        self.wavers = False
+
+    def estimate(self, table_digest, rows):
+        answer = super().estimate(table_digest, rows)
+        return replace(answer, expected_error_ratio=np.full(len(rows), 0.5)) if self.wavers else answer
+
+
+def test_where_hardly_anybody_names_a_friction_the_interval_is_marked():
+    model = WaveringModel()
+    site = Site(model=model)
+
+    async def story():
+        await traffic(site, mu_new=0.5, count=3, first_seed=100)
+        model.wavers = True
+        await traffic(site, mu_new=0.5, count=12, first_seed=200)
+
+    asyncio.run(story())
+    friction = friction_of(site)
+    assert friction.at_least
+    assert friction.refined.half_width_mu == inf
+    assert (friction.refined.informative_count, friction.refined.censored_count) == (3, 12)
+    assert friction.interval.passages_count == 15
+
+
+@pytest.mark.parametrize("change_policy", [None, ChangePolicy()])
+def test_a_drop_is_published_at_once_only_where_that_is_wanted(change_policy):
+    site = Site(change_policy=change_policy)
+
+    async def story():
+        await traffic(site, mu_new=0.6, count=50, first_seed=100)
+        await traffic(site, mu_new=0.2, count=12, first_seed=200)
+
+    asyncio.run(story())
+    friction = friction_of(site)
+    assert friction.interval == site.interval()
+    if change_policy is None:
+        assert friction.interval.mu_new > 0.5
+        assert friction.since_change_s is None
+    else:
+        assert friction.interval.mu_new == pytest.approx(0.2, rel=0.1)
+        assert friction.refined.mu_new == pytest.approx(0.2, rel=0.1)
+        assert friction.interval.passages_count == 12
+        assert friction.since_change_s == pytest.approx(11 * 60.0)
+        assert friction.interval.confidence is Confidence.PROVISIONAL
+
+
+def test_few_vehicles_an_hour_still_tell_of_a_change_and_ten_stay():
+    site = Site(change_policy=ChangePolicy())
+
+    async def story():
+        await traffic(site, mu_new=0.6, count=30, every_s=240.0, first_seed=100)
+        await traffic(site, mu_new=0.2, count=8, every_s=240.0, first_seed=200)
+
+    asyncio.run(story())
+    assert site.interval().passages_count == 10
+    assert site.interval().mu_new < 0.3
+
+
+def test_a_restart_keeps_the_change_though_the_window_alone_does_not_show_it():
+    site = Site(change_policy=ChangePolicy())
+
+    async def story():
+        await traffic(site, mu_new=0.6, count=40, every_s=120.0, first_seed=100)
+        await traffic(site, mu_new=0.2, count=20, every_s=120.0, first_seed=200)
+        clock = FakeClock(monotonic_s=5.0, unix_s=site.clock.now_unix_s)
+        again = Site(store=site.store, clock=clock, change_policy=ChangePolicy())
+        # What is counted again are those of the window.
+        assert await again.unit.restore() == 31
+        return again
+
+    again = asyncio.run(story())
+    assert again.interval() == replace(site.interval(), newest_age_s=again.interval().newest_age_s)
+    assert again.interval().passages_count == 20
+
+
+def test_vehicles_that_only_know_a_bound_are_no_change():
+    model = WaveringModel()
+    site = Site(model=model, change_policy=ChangePolicy())
+
+    async def story():
+        await traffic(site, mu_new=0.6, count=40, first_seed=100)
+        model.wavers = True
+        await traffic(site, mu_new=0.2, count=12, first_seed=200)
+
+    asyncio.run(story())
+    assert friction_of(site).since_change_s is None
+    assert site.interval().passages_count == 52
+
+
+def crowded(count, *, change_policy=None):
+    """A unit whose window holds many vehicles of the same minute."""
+    site = Site(change_policy=change_policy, limits=UnitLimits(window_capacity_count=20_000))
+    state = site.unit._states[SECTION.section_id]  # noqa: SLF001 - a store of this size would take its time
+    rng = np.random.default_rng(1)
+    now_s = site.clock.monotonic_s()
+    for at_s, mu in zip(np.linspace(now_s - 3000.0, now_s, count), rng.uniform(0.4, 0.5, count), strict=True):
+        state.window.add(left_at_s=float(at_s), mu=float(mu), expected_error_ratio=0.05)
+        if state.watch is not None:
+            state.watch.add(left_at_s=float(at_s), mu=float(mu))
+    return site, state
+
+
+def peak_bytes(question):
+    """Return the most memory that answering takes at a time; unlike time, the same at each attempt."""
+    tracemalloc.start()
+    try:
+        question()
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.mark.parametrize("change_policy", [None, ChangePolicy()])
+def test_the_cost_of_a_question_does_not_grow_with_a_window_beyond_the_newest_thousand(change_policy):
+    costs = []
+    for count in (NEWEST_COUNT, 10 * NEWEST_COUNT):
+        site, state = crowded(count, change_policy=change_policy)
+        friction_of(site)  # tables are made once
+        state.window.add(left_at_s=site.clock.monotonic_s(), mu=0.45)
+        costs.append(peak_bytes(lambda site=site: friction_of(site)))
+    assert costs[1] < 1.1 * costs[0]
+
+
+def test_asked_twice_the_refined_interval_is_made_once():
+    site, _ = crowded(50)
+    assert friction_of(site).refined is friction_of(site).refined
+
+
+def test_the_refined_interval_is_that_of_the_newest_thousand():
+    site, state = crowded(NEWEST_COUNT)
+    before = friction_of(site).refined
+    state.window.add(left_at_s=site.clock.monotonic_s() - 3500.0, mu=0.1, expected_error_ratio=0.01)
+    assert friction_of(site).refined == before
