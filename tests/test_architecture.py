@@ -34,7 +34,7 @@ EMPTY_NAMES = {"utils", "util", "helpers", "helper", "common", "misc", "manager"
 UNITS = set(
     """
     s ms hz bar 1ps m m2 m3 mm mps mps2 mps3 m2ps2 m2ps3 mprad 1pm 1pm2 1pm3 s2pm rad radps radps2 deg kph hour
-    kg kgm2 n nm npm nprad radpn nspm nmprad nmsprad 1pn pa w k c bytes mb px
+    kg kgm2 kgpm n nm npm nprad radpn nspm nmprad nmsprad 1pn pa w k c bytes mb px
     """.split()
 )
 # The last words that say a number has no dimension.
@@ -47,7 +47,8 @@ DIMENSIONLESS = set(
 # Whole names of arrays whose columns have a unit each (the feature table names them), or whose unit is the caller's,
 # as in an interpolation or a filter, which work for any quantity.
 ANY_UNIT = set(
-    "at second lower upper minimum maximum low high knots labels metrics signal derivative matrix x y".split()
+    "at second lower upper minimum maximum low high knots labels metrics signal derivative matrix x y"
+    " misfit variance priors".split()
 )
 # State is an array: in the simulator these are the arrays whose columns an index of names describes.
 STATE_ARRAYS = set("aids body lines log mind road state states wheels".split())

@@ -150,7 +150,7 @@ def summarise_passage(
     summary = kinematic_summary(
         signals,
         counted,
-        grip=grip_evidence(motion, handling=handling, geometry=vehicle, noise=noise),
+        grip_features=grip_evidence(motion, handling=handling, geometry=vehicle, noise=noise),
         duration_s=match.exit_s - match.entry_s,
         quality=_quality(
             trace,

@@ -47,7 +47,7 @@ def kinematic_summary(
     signals: KinematicSignals,
     inside: BoolArray,
     *,
-    grip: FloatArray,
+    grip_features: FloatArray,
     duration_s: float,
     quality: QualityFlag = QualityFlag.NONE,
 ) -> KinematicSummary:
@@ -56,7 +56,7 @@ def kinematic_summary(
     Args:
         signals: Over the whole trace.
         inside: True for the samples that count, at least one. (n,)
-        grip: The grip features (`vehicle_client.estimation.grip`).
+        grip_features: In the order of the table (`vehicle_client.estimation.grip`).
         duration_s: Time between the two ends of the section.
         quality: What the vehicle says about it.
 
@@ -70,7 +70,7 @@ def kinematic_summary(
         signals.yaw_rate_excess_radps,
         signals.speed_mps,
     )
-    values = np.concatenate([*(statistics_of(bag[inside]) for bag in bags), grip])
+    values = np.concatenate([*(statistics_of(bag[inside]) for bag in bags), grip_features])
     return KinematicSummary(
         values=tuple(values.tolist()), table_digest=NEWEST_TABLE.digest, duration_s=duration_s, quality=quality
     )

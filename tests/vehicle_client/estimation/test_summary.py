@@ -29,7 +29,9 @@ def signals_of(bag) -> KinematicSignals:
 
 def summary_of(bag, inside=None):
     everything = np.ones(bag.shape[1], dtype=bool)
-    return kinematic_summary(signals_of(bag), everything if inside is None else inside, grip=GRIP, duration_s=4.0)
+    return kinematic_summary(
+        signals_of(bag), everything if inside is None else inside, grip_features=GRIP, duration_s=4.0
+    )
 
 
 def test_the_columns_are_the_tables_and_the_numbers_scipys():
@@ -103,7 +105,11 @@ def test_samples_outside_do_not_count():
 
 def test_the_record_says_what_it_was_made_for():
     summary = kinematic_summary(
-        signals_of(np.ones((5, 10))), np.ones(10, dtype=bool), grip=GRIP, duration_s=3.5, quality=QualityFlag.NO_GNSS
+        signals_of(np.ones((5, 10))),
+        np.ones(10, dtype=bool),
+        grip_features=GRIP,
+        duration_s=3.5,
+        quality=QualityFlag.NO_GNSS,
     )
     assert (summary.table_digest, summary.duration_s, summary.quality) == (
         NEWEST_TABLE.digest,

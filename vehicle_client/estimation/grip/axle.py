@@ -72,8 +72,8 @@ def wheel_curve(load_n: FloatArray, tyre: TyreCurve) -> WheelCurve:
     """
     more = load_n / tyre.nominal_load_n - 1.0
 
-    def at_load(nominal: float, twice: float) -> FloatArray:
-        return np.maximum(nominal + (twice - nominal) * more, _LEAST_RATIO * nominal)
+    def at_load(once_ratio: float, twice_ratio: float) -> FloatArray:
+        return np.maximum(once_ratio + (twice_ratio - once_ratio) * more, _LEAST_RATIO * once_ratio)
 
     stiffness = at_load(tyre.stiffness_ratio, tyre.stiffness_twice_ratio)
     return WheelCurve(

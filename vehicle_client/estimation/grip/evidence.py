@@ -79,7 +79,7 @@ def grip_evidence(motion: Motion, *, handling: Handling, geometry: VehicleGeomet
     peaks = {name: _peak(log_mu, told[name]) for name in GRIP_SHAPES}
     shapes = [_shape(peaks[name], samples, drops) for name, drops in GRIP_SHAPES.items()]
     everything = peaks["all"]
-    profile = -(np.interp(np.log(PROFILE_FRICTIONS_MU), everything.log_mu, everything.deviation) ** 2)
+    profile = -(np.interp(np.log(PROFILE_FRICTIONS_MU), everything.log_mu, everything.deviation_ratio) ** 2)
     return np.concatenate(
         [*shapes, np.maximum(profile, PROFILE_FLOOR), _demand(motion, found.demand_mu[motion.inside])]
     )
@@ -91,15 +91,15 @@ class _Peak:
 
     Attributes:
         log_mu: Frictions in rising order, that of the top among them. (k,)
-        deviation: Root of the fall, negative below the top. (k,)
+        deviation_ratio: Root of the fall, negative below the top. (k,)
         top: Where the top stands among them.
-        height: Log-likelihood of the top.
+        height_ratio: Log-likelihood of the top.
     """
 
     log_mu: FloatArray
-    deviation: FloatArray
+    deviation_ratio: FloatArray
     top: int
-    height: float
+    height_ratio: float
 
 
 def _top(told: FloatArray) -> int:
@@ -131,10 +131,12 @@ def _shape(peak: _Peak, samples: float, drops: tuple[float, ...]) -> FloatArray:
 
     Where it never falls that far, the distance is to the end of the grid. (2 drops + 2,)
     """
-    top, log_mu, deviation = peak.top, peak.log_mu, peak.deviation
+    top, log_mu, deviation = peak.top, peak.log_mu, peak.deviation_ratio
     below = [_distance(log_mu[top::-1], -deviation[top::-1], drop) for drop in drops]
     above = [_distance(log_mu[top:], deviation[top:], drop) for drop in drops]
-    return np.array([float(np.exp(log_mu[top])), *below, *above, min(max(-peak.height / samples, 0.0), MISFIT_LIMIT)])
+    return np.array(
+        [float(np.exp(log_mu[top])), *below, *above, min(max(-peak.height_ratio / samples, 0.0), MISFIT_LIMIT)]
+    )
 
 
 def _distance(log_mu: FloatArray, deviation: FloatArray, drop: float) -> float:
