@@ -7,11 +7,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from roadgrip.features import NEWEST_TABLE
 from roadgrip.records import KinematicSummary, QualityFlag, Reason, Rejected
 from vehicle_client.estimation.gaps import believable, bridged, longest_gap_s, missing_frac
 from vehicle_client.estimation.grip.evidence import grip_evidence
-from vehicle_client.estimation.grip.motion import motion_over
+from vehicle_client.estimation.grip.lesson import passage_lesson
+from vehicle_client.estimation.grip.memory import CarMemory, remembered
 from vehicle_client.estimation.grip.noise import AUTOMOTIVE_NOISE, GripNoise
+from vehicle_client.estimation.grip.recall import Sensed, recalled
 from vehicle_client.estimation.handling import XC90_HANDLING, Handling
 from vehicle_client.estimation.mounting import in_car_axes
 from vehicle_client.estimation.observer import XC90_PARAMETERS, ObserverParameters
@@ -52,13 +55,18 @@ class Summarised:
         summary: What is sent.
         match: When the vehicle was inside the section.
         signals: What was estimated at every sample, for plots and comparisons.
-        offsets: What was subtracted from the sensors.
+        sensed: What the physical inverse looked at, for the car to learn from.
     """
 
     summary: KinematicSummary
     match: SectionMatch
     signals: KinematicSignals
-    offsets: SensorOffsets
+    sensed: Sensed
+
+    @property
+    def offsets(self) -> SensorOffsets:
+        """What was subtracted from the sensors."""
+        return self.sensed.offsets
 
     @property
     def left_at_s(self) -> float:
@@ -74,6 +82,7 @@ def summarise_passage(
     parameters: ObserverParameters = XC90_PARAMETERS,
     handling: Handling = XC90_HANDLING,
     noise: GripNoise = AUTOMOTIVE_NOISE,
+    memory: CarMemory | None = None,
 ) -> Summarised | Rejected:
     """Return what a vehicle makes of one drive over a section, or why it keeps it to itself.
 
@@ -89,6 +98,7 @@ def summarise_passage(
         parameters: Constants of the estimation.
         handling: What is declared of its masses, springs and tyres.
         noise: What is declared of its sensors.
+        memory: What the car has learned of itself, for the physical inverse.
 
     Raises:
         TraceError: The trace's arrays do not fit each other.
@@ -135,22 +145,21 @@ def summarise_passage(
         trace, section, station_m=match.station_m, vehicle=vehicle, parameters=parameters, offsets=offsets
     )
     counted = inside & valid
-    motion = motion_over(
-        section,
-        inertial_signals(trace, vehicle, offsets, parameters),
+    sensed_inside = Sensed(
+        section=section,
+        measured=inertial_signals(trace, vehicle, offsets, parameters),
+        offsets=offsets,
         station_m=match.station_m,
         inside=inside,
         speed_mps=signals.speed_mps,
         steer_rad=trace.steer_rad - offsets.steer_rad,
         wheel_speed_mps=trace.wheel_speed_mps,
-        handling=handling,
-        level_gain_ratio=noise.level_gain_ratio,
-        absent=trace.absent,
     )
+    seen = recalled(sensed_inside, handling=handling, noise=noise, memory=memory)
     summary = kinematic_summary(
         signals,
         counted,
-        grip_features=grip_evidence(motion, handling=handling, geometry=vehicle, noise=noise),
+        grip_features=grip_evidence(seen.motion, handling=seen.handling, geometry=vehicle, noise=seen.noise),
         duration_s=match.exit_s - match.entry_s,
         quality=_quality(
             trace,
@@ -161,7 +170,31 @@ def summarise_passage(
             doubtful=any(finding.doubtful for finding in found),
         ),
     )
-    return Summarised(summary=summary, match=match, signals=signals, offsets=offsets)
+    return Summarised(summary=summary, match=match, signals=signals, sensed=sensed_inside)
+
+
+def memory_after(
+    passage: Summarised,
+    memory: CarMemory,
+    *,
+    vehicle: VehicleGeometry = XC90,
+    handling: Handling = XC90_HANDLING,
+    noise: GripNoise = AUTOMOTIVE_NOISE,
+) -> CarMemory:
+    """Return what a car remembers of itself after a passage. Takes as long as the summary; nobody waits for it.
+
+    Args:
+        passage: As `summarise_passage` gave it with the same car and memory.
+        memory: Before the passage.
+        vehicle: The own car.
+        handling: What is declared of its masses, springs and tyres.
+        noise: What is declared of its sensors.
+    """
+    friction_mu = passage.summary.values[NEWEST_TABLE.index("grip_all_best_mu")]
+    lesson = passage_lesson(
+        passage.sensed, friction_mu=friction_mu, handling=handling, geometry=vehicle, noise=noise, memory=memory
+    )
+    return remembered(memory, lesson)
 
 
 def _not_found(trace: Trace, speed_mps: FloatArray, vehicle: VehicleGeometry, *, refusal: Rejected) -> Rejected:
