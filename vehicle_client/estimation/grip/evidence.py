@@ -33,8 +33,8 @@ _FINE_OFFSETS = _COARSE_STEP * np.linspace(-1.1, 1.1, 18)
 """Natural logarithms, around the best of the coarse grid; an even number, so that no friction is asked about twice."""
 _CHANNELS = (Evidence.STEERING, Evidence.DRIFT, Evidence.WHEELS)
 _DEMAND_LIMIT_MU = 10.0
-_TIE = 1e-6
-"""Frictions whose likelihoods differ by less are equally good: rounding is no evidence."""
+_TIE = 1e-3
+"""Frictions whose log-likelihoods differ by less are equally good: such a difference is no evidence."""
 
 
 def grip_evidence(motion: Motion, *, handling: Handling, geometry: VehicleGeometry, noise: GripNoise) -> FloatArray:
@@ -69,7 +69,7 @@ def grip_evidence(motion: Motion, *, handling: Handling, geometry: VehicleGeomet
         return by_shape, found
 
     coarse, found = profiles(COARSE_MU)
-    fine_mu = COARSE_MU[_top(coarse["all"])] * np.exp(_FINE_OFFSETS)
+    fine_mu = COARSE_MU[_top(np.log(COARSE_MU), coarse["all"])] * np.exp(_FINE_OFFSETS)
     fine, _ = profiles(fine_mu)
     friction = np.concatenate([COARSE_MU, fine_mu])
     order = np.argsort(friction)
@@ -102,24 +102,25 @@ class _Peak:
     height_ratio: float
 
 
-def _top(told: FloatArray) -> int:
+def _top(log_mu: FloatArray, told: FloatArray) -> int:
     """Return where a log-likelihood is highest; the middle of all such places if there are several."""
     best = np.flatnonzero(told >= told.max() - _TIE)
-    return int(best[len(best) // 2])
+    middle = 0.5 * (log_mu[best[0]] + log_mu[best[-1]])
+    return int(best[np.argmin(np.abs(log_mu[best] - middle))])
 
 
 def _peak(log_mu: FloatArray, told: FloatArray) -> _Peak:
     """Return a log-likelihood about its top: of a parabola through the highest place and its neighbours."""
-    top = _top(told)
+    top = _top(log_mu, told)
     at, height = float(log_mu[top]), float(told[top])
     if 0 < top < len(told) - 1:
         before, after = log_mu[top - 1] - at, log_mu[top + 1] - at
         rise, fall = (told[top - 1] - height) / before, (told[top + 1] - height) / after
         bend = (fall - rise) / (after - before)
         slope = rise - bend * before
-        if bend < -_TIE:
-            at -= 0.5 * slope / bend
-            height -= 0.25 * slope * slope / bend
+        away = -0.5 * slope / bend if bend < 0.0 else 0.0
+        if before < away < after:
+            at, height = at + away, height + 0.5 * slope * away
     deviation = np.sqrt(np.maximum(height - told, 0.0))
     deviation[log_mu < at] *= -1.0
     place = int(np.searchsorted(log_mu, at))
