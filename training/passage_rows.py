@@ -92,7 +92,7 @@ def rows_of(scenario: Scenario, runs: Sequence[Run], drives: Sequence[Drive], *,
         values, outcome = _summarised(run, drive, road_map)
         rows.append(np.concatenate([values, road]))
         outcomes.append(outcome)
-    labels = [_labels(scenario.section, run, drive) for run, drive in zip(runs, drives, strict=True)]
+    labels = [labels_of(scenario.section, run, drive) for run, drive in zip(runs, drives, strict=True)]
     return Runs(
         features=np.array(rows).reshape(-1, len(NEWEST_TABLE)),
         labels={name: np.array([one[name] for one in labels]) for name in LABEL_COLUMNS},
@@ -103,7 +103,8 @@ def rows_of(scenario: Scenario, runs: Sequence[Run], drives: Sequence[Drive], *,
     )
 
 
-def _labels(section: RoadSection, run: Run, drive: Drive) -> dict[str, float]:
+def labels_of(section: RoadSection, run: Run, drive: Drive) -> dict[str, float]:
+    """Return what is known of a drive beyond what its vehicle says: the columns `LABEL_COLUMNS`."""
     plan, station = run.plan, drive.truth.station_m
     inside = (station >= 0.0) & (station <= section.length_m)
     duration_s = SAMPLE_S * float(np.count_nonzero(inside))

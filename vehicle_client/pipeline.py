@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from roadgrip.features import NEWEST_TABLE
 from roadgrip.records import KinematicSummary, QualityFlag, Reason, Rejected
 from vehicle_client.estimation.gaps import believable, bridged, longest_gap_s, missing_frac
 from vehicle_client.estimation.grip.evidence import grip_evidence
@@ -155,11 +154,10 @@ def summarise_passage(
         steer_rad=trace.steer_rad - offsets.steer_rad,
         wheel_speed_mps=trace.wheel_speed_mps,
     )
-    seen = recalled(sensed_inside, handling=handling, noise=noise, memory=memory)
     summary = kinematic_summary(
         signals,
         counted,
-        grip_features=grip_evidence(seen.motion, handling=seen.handling, geometry=vehicle, noise=seen.noise),
+        grip_features=grip_features(sensed_inside, vehicle=vehicle, handling=handling, noise=noise, memory=memory),
         duration_s=match.exit_s - match.entry_s,
         quality=_quality(
             trace,
@@ -173,26 +171,43 @@ def summarise_passage(
     return Summarised(summary=summary, match=match, signals=signals, sensed=sensed_inside)
 
 
+def grip_features(
+    sensed: Sensed, *, vehicle: VehicleGeometry, handling: Handling, noise: GripNoise, memory: CarMemory | None
+) -> FloatArray:
+    """Return what the physical inverse makes of a passage, in the order of the feature table.
+
+    Args:
+        sensed: Over the section.
+        vehicle: The own car.
+        handling: What is declared of its masses, springs and tyres.
+        noise: What is declared of its sensors.
+        memory: What the car has learned of itself.
+    """
+    seen = recalled(sensed, handling=handling, noise=noise, memory=memory)
+    return grip_evidence(seen.motion, handling=seen.handling, geometry=vehicle, noise=seen.noise)
+
+
 def memory_after(
-    passage: Summarised,
+    sensed: Sensed,
     memory: CarMemory,
     *,
-    vehicle: VehicleGeometry = XC90,
-    handling: Handling = XC90_HANDLING,
-    noise: GripNoise = AUTOMOTIVE_NOISE,
+    friction_mu: float,
+    vehicle: VehicleGeometry,
+    handling: Handling,
+    noise: GripNoise,
 ) -> CarMemory:
     """Return what a car remembers of itself after a passage. Takes as long as the summary; nobody waits for it.
 
     Args:
-        passage: As `summarise_passage` gave it with the same car and memory.
+        sensed: Over the section.
         memory: Before the passage.
+        friction_mu: That explained the passage best (`grip_all_best_mu`) with that memory.
         vehicle: The own car.
         handling: What is declared of its masses, springs and tyres.
         noise: What is declared of its sensors.
     """
-    friction_mu = passage.summary.values[NEWEST_TABLE.index("grip_all_best_mu")]
     lesson = passage_lesson(
-        passage.sensed, friction_mu=friction_mu, handling=handling, geometry=vehicle, noise=noise, memory=memory
+        sensed, friction_mu=friction_mu, handling=handling, geometry=vehicle, noise=noise, memory=memory
     )
     return remembered(memory, lesson)
 
