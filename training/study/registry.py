@@ -40,7 +40,15 @@ CHAPTER_MODULES: Mapping[Part, tuple[str, ...]] = MappingProxyType(
             "sensitivity",
             "drivers",
         ),
-        Part.GENERALISE: ("pooling", "liars", "change"),
+        Part.GENERALISE: (
+            "unseen_roads",
+            "learning_curve",
+            "features",
+            "uncertainty",
+            "pooling",
+            "liars",
+            "change",
+        ),
     }
 )
 

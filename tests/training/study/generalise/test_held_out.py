@@ -1,0 +1,131 @@
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.training.study.generalise.road_drives import FEW, SMALL_BEST, drives_on_roads, road_desk
+from training.study.generalise import held_out as made
+from training.study.generalise.held_out import (
+    UTILISATION_BANDS,
+    band_name,
+    band_of,
+    held_out,
+    left_out_roads,
+    mean_by_road,
+    on_other_roads,
+    rows_by_name,
+    surest,
+)
+from training.study.recipes import Recipe
+from vehicle_client.simulator.plan import SensorGrade
+
+IDEAL = SensorGrade.IDEAL
+LENGTH = ("section_length_m",)
+
+
+@pytest.fixture(autouse=True)
+def quick_expectations(monkeypatch):
+    monkeypatch.setattr(made, "EXPECTED_ERROR", FEW)
+
+
+@dataclass(frozen=True, slots=True)
+class KnowsRoads:
+    """Says 0.2 on roads it has seen, which it knows by their length, and 0.4 on others."""
+
+    def __call__(self, features, label_mu):
+        seen = set(features[:, 0].tolist())
+        return lambda rows: np.array([0.2 if length in seen else 0.4 for length in rows[:, 0].tolist()])
+
+
+RECOGNISES = Recipe("recognises", LENGTH, KnowsRoads())
+
+
+@pytest.mark.parametrize("judge", [held_out, left_out_roads])
+def test_nobody_judges_a_road_he_has_seen(judge):
+    assert set(judge(road_desk(), IDEAL, RECOGNISES).mu.tolist()) == {0.4}
+
+
+def test_the_papers_roads_are_judged_by_those_who_know_random_ones():
+    found = on_other_roads(road_desk(), IDEAL, RECOGNISES, data_set="paper")
+    assert set(found.mu.tolist()) == {0.4}
+    found = on_other_roads(road_desk(), IDEAL, RECOGNISES, data_set="random-roads")
+    assert set(found.mu.tolist()) == {0.2}
+
+
+def test_every_passage_with_a_summary_is_judged_once():
+    found = held_out(road_desk(), IDEAL, SMALL_BEST)
+    assert sorted(found.rows.tolist()) == np.flatnonzero(found.runs.usable).tolist()
+    assert len({(road, fold) for road, fold in zip(found.roads, found.fold.tolist(), strict=True)}) == 48
+
+
+def test_where_less_grip_was_used_more_error_is_expected():
+    found = held_out(road_desk(), IDEAL, SMALL_BEST)
+    assert (found.expected_error_ratio > 0.0).all()
+    assert np.corrcoef(found.expected_error_ratio, found.utilisation_ratio)[0, 1] < -0.3
+    assert found.expected_error_ratio.mean() == pytest.approx(np.abs(found.log_ratio).mean(), rel=0.3)
+
+
+def test_nothing_is_judged_where_nobody_drove():
+    found = on_other_roads(road_desk(), IDEAL, SMALL_BEST, data_set="ringebu")
+    assert len(found) == 0
+    assert found.roads == ()
+
+
+def test_a_fold_does_not_hang_on_the_order_of_the_rows():
+    runs = drives_on_roads(6)
+    order = np.random.default_rng(3).permutation(len(runs))
+    other = runs.rows(order)
+    names = [runs.run_key[i] for i in rows_by_name(runs).tolist()]
+    assert names == [other.run_key[i] for i in rows_by_name(other).tolist()]
+
+
+def test_a_part_keeps_what_belongs_together():
+    found = held_out(road_desk(), IDEAL, SMALL_BEST)
+    used = found.utilisation_ratio > 0.8
+    part = found.part(used)
+    assert part.error_ratio.tolist() == found.error_ratio[used].tolist()
+    assert part.column("demand_q100_mu").tolist() == found.column("demand_q100_mu")[used].tolist()
+    assert part.mape_ratio == pytest.approx(part.error_ratio.mean())
+
+
+def test_estimates_that_are_no_friction_still_have_an_error():
+    found = held_out(road_desk(), IDEAL, SMALL_BEST)
+    lost = replace(found, mu=np.full(len(found), -0.1))
+    assert np.isfinite(lost.log_ratio).all()
+    assert (lost.error_ratio > 1.0).all()
+
+
+def test_a_mean_by_road_weighs_every_road_the_same():
+    assert mean_by_road(np.array([1.0, 3.0, 10.0]), ("a", "a", "b")).tolist() == [2.0, 10.0]
+
+
+@given(
+    st.lists(st.floats(0.0, 1.0), min_size=1, max_size=40),
+    st.floats(0.01, 1.0),
+)
+def test_the_surest_are_as_many_as_asked_for_and_none_is_less_sure(expected, kept_frac):
+    values = np.array(expected)
+    kept = surest(values, kept_frac=kept_frac)
+    assert kept_frac * len(values) - 1e-6 <= kept.sum() <= kept_frac * len(values) + 1.0
+    if not kept.all():
+        assert values[kept].max() <= values[~kept].min()
+
+
+def test_every_utilisation_falls_into_one_band():
+    values = np.array([0.0, 0.3, 0.35, 0.4, 0.59, 0.6, 0.8, 1.2])
+    assert np.sum([band_of(values, band) for band in UTILISATION_BANDS], axis=0).tolist() == [1] * len(values)
+
+
+def test_bands_read_as_people_say_them():
+    assert [band_name(band) for band in UTILISATION_BANDS] == [
+        "below 0.3",
+        "0.3 to 0.4",
+        "0.4 to 0.6",
+        "0.6 to 0.8",
+        "0.8 and more",
+    ]
+    assert band_name((35.0, 70.0), unit="m") == "35 to 70 m"

@@ -1,0 +1,242 @@
+"""Estimates of passages on roads of which nothing was learned, with the error to expect of each.
+
+Everything is learned from other roads: the friction, and the error to expect, which a second regressor learns from what
+the first one got wrong on roads that it had not seen. Both see the features alone, as the models of a bundle do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from roadgrip.units import BoolArray, FloatArray
+from training.accuracy import mape_ratio
+from training.dataset import Runs
+from training.fit_parameters import FitParameters
+from training.regressor import RowIndices
+from training.study.chapter import Arrays, Workbench
+from training.study.folds import PAPER_SET
+from training.study.generalise.estimates import RANDOM_ROADS_SET, estimates_by_strangers, road_folds
+from training.study.paper_features import columns_by_name
+from training.study.recipes import Boosted, Recipe
+from vehicle_client.simulator.plan import SensorGrade
+
+EXPECTED_ERROR = Boosted(
+    FitParameters(trees_count=150, depth_count=4, learning_rate_ratio=0.05, row_share_frac=0.7, column_share_frac=0.4)
+)
+"""How the error to expect is learned: a mean, of a quantity that is mostly noise, so by few and shallow trees."""
+LEAST_ERROR_RATIO = 0.002
+"""Trees of squared errors may come out below zero."""
+LEAST_MU = 1e-3
+"""Trees of friction may, too."""
+SUREST_FRAC = 0.8
+"""Share of the passages that the study's headline keeps: those with the least error to expect."""
+HIGH_UTILISATION_RATIO = 0.6
+"""From here on a passage has used enough of the grip to know it."""
+UTILISATION_BANDS: tuple[tuple[float, float], ...] = (
+    (0.0, 0.3),
+    (0.3, 0.4),
+    (0.4, 0.6),
+    (0.6, 0.8),
+    (0.8, np.inf),
+)
+"""By the largest share of the grip that a passage used."""
+
+
+@dataclass(frozen=True, slots=True)
+class HeldOut:
+    """Passages that kept to the road, and what strangers to the road made of them.
+
+    Attributes:
+        runs: All runs of the data set.
+        rows: Those judged: all that have a summary, by their names. (m,)
+        fold: The fold that each was judged in. (m,)
+        mu: What the regressor says. (m,)
+        expected_error_ratio: Magnitude of the error to expect, on the logarithm. (m,)
+    """
+
+    runs: Runs
+    rows: RowIndices
+    fold: RowIndices
+    mu: FloatArray
+    expected_error_ratio: FloatArray
+
+    def __len__(self) -> int:
+        """Return how many passages were judged."""
+        return len(self.rows)
+
+    @property
+    def label_mu(self) -> FloatArray:
+        """The truth. (m,)"""
+        return self.runs.labels["label_mu"][self.rows]
+
+    @property
+    def error_ratio(self) -> FloatArray:
+        """Magnitude of the error, relative to the truth: the mean of it is the MAPE. (m,)"""
+        return np.abs(self.mu / self.label_mu - 1.0)
+
+    @property
+    def log_ratio(self) -> FloatArray:
+        """Natural logarithm of estimate over truth; positive where there is less grip than said. (m,)"""
+        return np.log(np.maximum(self.mu, LEAST_MU) / self.label_mu)
+
+    @property
+    def utilisation_ratio(self) -> FloatArray:
+        """Largest share of the grip that each used. (m,)"""
+        return self.runs.labels["peak_utilisation_ratio"][self.rows]
+
+    @property
+    def mape_ratio(self) -> float:
+        """Mean error relative to the truth over all passages."""
+        return mape_ratio(self.label_mu, self.mu)
+
+    @property
+    def roads(self) -> tuple[str, ...]:
+        """The road of each. (m,)"""
+        return tuple(self.runs.section_id[i] for i in self.rows.tolist())
+
+    def column(self, name: str) -> FloatArray:
+        """Return a feature of each. (m,)"""
+        return columns_by_name(self.runs, (name,))[self.rows, 0]
+
+    def part(self, chosen: BoolArray) -> HeldOut:
+        """Return some of the passages."""
+        return replace(
+            self,
+            rows=self.rows[chosen],
+            fold=self.fold[chosen],
+            mu=self.mu[chosen],
+            expected_error_ratio=self.expected_error_ratio[chosen],
+        )
+
+
+def held_out(bench: Workbench, grade: SensorGrade, recipe: Recipe, *, data_set: str = RANDOM_ROADS_SET) -> HeldOut:
+    """Return the passages of a data set of many roads, each judged by regressors that learned from other roads.
+
+    Args:
+        bench: Where the data comes from.
+        grade: Sensors.
+        recipe: How to learn, and from which features.
+        data_set: Its name.
+    """
+
+    def work() -> Arrays:
+        runs = bench.runs(data_set, grade)
+        rows = rows_by_name(runs)
+        features, label = columns_by_name(runs, recipe.features)[rows], runs.labels["label_mu"][rows]
+        fold = road_folds([runs.section_id[i] for i in rows.tolist()], seed=bench.seed)
+        bench.report(f"unseen roads, {recipe.name}, {grade}", 0, 2)
+        mu = estimates_by_strangers(recipe, features, label, fold=fold)
+        bench.report(f"unseen roads, {recipe.name}, {grade}", 1, 2)
+        expected = estimates_by_strangers(replace(recipe, learn=EXPECTED_ERROR), features, _miss(mu, label), fold=fold)
+        return _arrays(rows, fold, mu, expected)
+
+    found = bench.remembered(f"held-out-{data_set}-{grade}-{recipe.key}-{bench.seed}", work)
+    return _held_out(bench.runs(data_set, grade), found)
+
+
+def on_other_roads(bench: Workbench, grade: SensorGrade, recipe: Recipe, *, data_set: str) -> HeldOut:
+    """Return the passages of a data set, judged by regressors that learned from all random roads.
+
+    Args:
+        bench: Where the data comes from.
+        grade: Sensors.
+        recipe: How to learn, and from which features.
+        data_set: Its name; none of its roads may be a random one. There may be no runs.
+    """
+
+    def work() -> Arrays:
+        learned = held_out(bench, grade, recipe)
+        judged = bench.runs(data_set, grade)
+        rows = rows_by_name(judged)
+        features, there = columns_by_name(learned.runs, recipe.features)[learned.rows], judged.columns(recipe.features)
+        if len(rows) == 0:
+            return _arrays(rows, rows, np.empty(0), np.empty(0))
+        mu = recipe.learn(features, learned.label_mu)(there[rows])
+        expected = EXPECTED_ERROR(features, np.abs(learned.log_ratio))(there[rows])
+        return _arrays(rows, np.zeros_like(rows), mu, expected)
+
+    found = bench.remembered(f"other-roads-{data_set}-{grade}-{recipe.key}-{bench.seed}", work)
+    return _held_out(bench.runs(data_set, grade), found)
+
+
+def left_out_roads(bench: Workbench, grade: SensorGrade, recipe: Recipe) -> HeldOut:
+    """Return the paper's runs, each judged by a regressor that learned from the paper's other roads.
+
+    Two scenarios share a road: both are left out together. No error is expected of these (NaN): so few roads say
+    nothing about the next one's.
+    """
+
+    def work() -> Arrays:
+        runs = bench.runs(PAPER_SET, grade)
+        rows = rows_by_name(runs)
+        fold = np.unique(np.array(runs.section_id)[rows], return_inverse=True)[1]
+        features, label = columns_by_name(runs, recipe.features)[rows], runs.labels["label_mu"][rows]
+        mu = estimates_by_strangers(recipe, features, label, fold=fold)
+        return _arrays(rows, fold, mu, np.full(len(rows), np.nan))
+
+    found = bench.remembered(f"left-out-{grade}-{recipe.key}-{bench.seed}", work)
+    return _held_out(bench.runs(PAPER_SET, grade), found)
+
+
+def rows_by_name(runs: Runs) -> RowIndices:
+    """Return the rows that have a summary, by the names of the runs: no fold hangs on the order of the rows. (m,)"""
+    order = np.argsort(np.array(runs.run_key), kind="stable")
+    return order[runs.usable[order]]
+
+
+def mean_by_road(values: FloatArray, roads: tuple[str, ...]) -> FloatArray:
+    """Return the mean of some values for every road, roads by name. (roads,)
+
+    Args:
+        values: One per passage. (m,)
+        roads: The road of each. (m,)
+    """
+    _, place = np.unique(np.array(roads), return_inverse=True)
+    mean: FloatArray = np.bincount(place, weights=values) / np.bincount(place)
+    return mean
+
+
+def surest(expected_error_ratio: FloatArray, *, kept_frac: float) -> BoolArray:
+    """Return which passages have the least error to expect: a given share, rounded up, and at least one. (m,)"""
+    kept_count = max(1, int(np.ceil(kept_frac * len(expected_error_ratio) - 1e-9)))
+    kept = np.zeros(len(expected_error_ratio), dtype=np.bool_)
+    kept[np.argsort(expected_error_ratio, kind="stable")[:kept_count]] = True
+    return kept
+
+
+def band_of(values: FloatArray, band: tuple[float, float]) -> BoolArray:
+    """Return which values lie in a band, its lower edge included. (m,)"""
+    return (values >= band[0]) & (values < band[1])
+
+
+def band_name(band: tuple[float, float], *, unit: str = "") -> str:
+    """Return a band for people, such as "0.3 to 0.4", "below 0.3" or "0.8 and more"."""
+    low, high = band
+    words = f"below {high:g}" if low <= 0.0 else f"{low:g} and more" if np.isinf(high) else f"{low:g} to {high:g}"
+    return f"{words} {unit}".strip()
+
+
+def _miss(mu: FloatArray, label_mu: FloatArray) -> FloatArray:
+    return np.abs(np.log(np.maximum(mu, LEAST_MU) / label_mu))
+
+
+def _arrays(rows: RowIndices, fold: RowIndices, mu: FloatArray, expected: FloatArray) -> Arrays:
+    return {
+        "rows": rows.astype(np.float64),
+        "fold": fold.astype(np.float64),
+        "mu": mu,
+        "expected_error_ratio": np.maximum(expected, LEAST_ERROR_RATIO),
+    }
+
+
+def _held_out(runs: Runs, found: Mapping[str, FloatArray]) -> HeldOut:
+    return HeldOut(
+        runs=runs,
+        rows=found["rows"].astype(np.intp),
+        fold=found["fold"].astype(np.intp),
+        mu=found["mu"],
+        expected_error_ratio=found["expected_error_ratio"],
+    )
