@@ -23,6 +23,8 @@ BATCH_SIZES_COUNT = (1, 10, 50, 100)
 """Vehicles in a batch, as the paper shows them."""
 P95_FRAC = 0.95
 
+RowBatches: TypeAlias = np.ndarray[tuple[int, int], np.dtype[np.intp]]
+"""Rows of batches, one batch per line."""
 Rule: TypeAlias = Callable[[RowIndices], float]
 """From the rows of one batch to the midpoint of its friction interval; NaN where the rule does not answer."""
 
@@ -95,9 +97,7 @@ def cells_of(road: Sequence[str], base_friction_mu: FloatArray, *, rows: RowIndi
     return tuple(cells)
 
 
-def drawn_batches(
-    rng: np.random.Generator, rows: RowIndices, *, size_count: int, batches_count: int
-) -> np.ndarray[tuple[int, int], np.dtype[np.intp]]:
+def drawn_batches(rng: np.random.Generator, rows: RowIndices, *, size_count: int, batches_count: int) -> RowBatches:
     """Return batches drawn with replacement: the rows stand for all the traffic that could have come.
 
     Without replacement the batches of a small cell would be much alike, and their errors look smaller than they are.
@@ -124,9 +124,26 @@ def errors_of_cell(cell: Cell, rule: Rule, *, size_count: int, batches_count: in
         batches_count: Batches to draw.
         seed: Of the draws.
     """
-    rng = chance(seed, f"batches|{cell.road}|{cell.base_friction_mu:.2f}|{size_count}")
-    batches = drawn_batches(rng, cell.rows, size_count=size_count, batches_count=batches_count)
+    batches = batches_of_cell(cell, size_count=size_count, batches_count=batches_count, seed=seed)
     answers = np.array([rule(batch) for batch in batches], dtype=np.float64)
+    return errors_of_answers(cell, answers, size_count=size_count)
+
+
+def batches_of_cell(cell: Cell, *, size_count: int, batches_count: int, seed: int) -> RowBatches:
+    """Return the batches that every rule is judged on, one per line; arguments as for `errors_of_cell`."""
+    rng = chance(seed, f"batches|{cell.road}|{cell.base_friction_mu:.2f}|{size_count}")
+    return drawn_batches(rng, cell.rows, size_count=size_count, batches_count=batches_count)
+
+
+def errors_of_answers(cell: Cell, answers: FloatArray, *, size_count: int) -> CellErrors:
+    """Return how far answers for batches of a cell are from the truth.
+
+    Args:
+        cell: Where the batches were drawn.
+        answers: One midpoint per batch, NaN where there is none; at least one batch. (batches_count,)
+        size_count: Vehicles in a batch.
+    """
+    batches_count = len(answers)
     errors = answers[np.isfinite(answers)] / cell.midpoint_mu - 1.0
     magnitude = np.abs(errors)
     silent = len(errors) == 0

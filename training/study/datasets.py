@@ -4,11 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from enum import Enum
 
 from roadgrip.section import RoadSection
 from training.designs import Size
 from training.study.ringebu import ringebu_sections
 from vehicle_client.simulator.plan import UNSCALED, AmplitudeScales, DriverKind
+
+
+class Cars(Enum):
+    """Which cars have a life of their own in a data set (`training.car_lives`)."""
+
+    PAPER = "all the paper's"
+    FLEET = "each another one of the fleet"
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,6 +34,8 @@ class DataSet:
         scales: How many times as large disturbances are as usual.
         sections: Roads to drive instead of a named design's, runs as attempts at the paper's base frictions; `design`
             then only names the runs. Where it returns none, their source is not on this machine, and there are no runs.
+        lives: Cars that learn on everyday roads before they are judged; `design` then only names the runs, and the
+            size counts groups of eleven cars as runs.
     """
 
     name: str
@@ -37,6 +47,7 @@ class DataSet:
     seed: int = 1
     scales: AmplitudeScales = UNSCALED
     sections: Callable[[], tuple[RoadSection, ...]] | None = None
+    lives: Cars | None = None
 
 
 SENSITIVITY_SIZE = Size(60)
@@ -101,6 +112,22 @@ DATA_SETS: tuple[DataSet, ...] = (
         purpose="the same roads with another vehicle in every run",
     ),
     DataSet(
+        name="any-speed",
+        design="any-speed",
+        size=Size(60, random_roads_count=400, random_runs_count=1),
+        quick_size=Size(6, random_roads_count=30, random_runs_count=1),
+        seed=2,
+        purpose="the paper's roads and some of the random ones at any speed, whatever the friction",
+    ),
+    DataSet(
+        name="random-roads-batches",
+        design="random-roads",
+        size=Size(60, random_roads_count=30),
+        quick_size=Size(12, random_roads_count=6),
+        seed=4,
+        purpose="other random roads with many vehicles per base friction, for what they say together",
+    ),
+    DataSet(
         name="ringebu",
         design="ringebu",
         size=Size(2),
@@ -108,6 +135,24 @@ DATA_SETS: tuple[DataSet, ...] = (
         seed=3,
         purpose="bends of a real mountain road, of which nothing is learned, two vehicles per base friction on each",
         sections=ringebu_sections,
+    ),
+    DataSet(
+        name="lives-fleet",
+        design="lives-fleet",
+        size=Size(72),
+        quick_size=Size(6),
+        seed=2,
+        purpose="cars of a fleet that learn on everyday roads, then drive random ones; told in several ways",
+        lives=Cars.FLEET,
+    ),
+    DataSet(
+        name="lives-paper",
+        design="lives-paper",
+        size=Size(36),
+        quick_size=Size(4),
+        seed=2,
+        purpose="the same with the paper's car and other sensors in each",
+        lives=Cars.PAPER,
     ),
     _scaled_set("sensors-halved", "with half the errors of sensors and map", AmplitudeScales(sensors_ratio=0.5)),
     _scaled_set("sensors-doubled", "with twice the errors of sensors and map", AmplitudeScales(sensors_ratio=2.0)),

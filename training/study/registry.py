@@ -46,6 +46,7 @@ CHAPTER_MODULES: Mapping[Part, tuple[str, ...]] = MappingProxyType(
             "features",
             "uncertainty",
             "pooling",
+            "profiles",
             "liars",
             "change",
         ),

@@ -65,14 +65,15 @@ def test_the_chapter_gives_its_headlines(result):
         figures["headline.paper_config.interval10_worst_known_best"]
         == figures[f"known.paper_config.{REFINED}.10.worst_p95"]
     )
-    assert figures["headline.paper_config.interval50_worst_unseen"] > 0.0
     assert all(len(row) == len(table.columns) for table in result.tables for row in table.rows)
 
 
 def test_the_verdict_names_the_rule_that_erred_least(result):
-    told = pooling.CHAPTER.verdict({SensorGrade.IDEAL: result})
-    assert told.claim is Claim.NOT_CLAIMED
-    for where in ("known", "unseen"):
-        figures = {**result.figures, f"{where}.paper_config.{MEDIAN}.50.worst_p95": 0.0}
-        told = pooling.CHAPTER.verdict({SensorGrade.IDEAL: replace(result, figures=figures)})
-        assert f"({MEDIAN})" in told.text
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(pooling, "CONFIGS", {"paper_config": SMALL})
+        told = pooling.CHAPTER.verdict({SensorGrade.IDEAL: result})
+        assert told.claim is Claim.NOT_CLAIMED
+        for where in ("known", "unseen"):
+            figures = {**result.figures, f"{where}.paper_config.{MEDIAN}.50.worst_p95": 0.0}
+            told = pooling.CHAPTER.verdict({SensorGrade.IDEAL: replace(result, figures=figures)})
+            assert f"({MEDIAN})" in told.text

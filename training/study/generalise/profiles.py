@@ -1,0 +1,365 @@
+"""What vehicles say together on a road nobody has learned: likelihoods that add up, against answers that do not.
+
+A regressor draws doubtful passages towards what is usual, and fifty of them the same way. Likelihoods are not drawn:
+those that the vehicles send, one value per friction; or the regressor's own answers, each divided by what was usual.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+
+from roadgrip.features import PROFILE_FRICTIONS_MU
+from roadgrip.units import FloatArray
+from rsu_app.domain.interval import MEDIAN_TYRE_RATIO
+from rsu_app.domain.pooling import placement
+from rsu_app.domain.profiles import ProfilePolicy, evidence_of_profiles, new_tyre_grid_mu
+from rsu_app.domain.shrinkage import unshrunk
+from training.dataset import Runs
+from training.regressor import RowIndices
+from training.study.batches import (
+    Cell,
+    CellErrors,
+    RowBatches,
+    batches_of_cell,
+    cells_of,
+    errors_of_answers,
+    published_rule,
+    worst_cell,
+)
+from training.study.chapter import Arrays, Chapter, Claim, Result, Table, Verdict, Workbench
+from training.study.chapter import Cell as TableCell
+from training.study.generalise.estimates import RANDOM_ROADS_SET
+from training.study.generalise.held_out import (
+    UTILISATION_BANDS,
+    HeldOut,
+    band_name,
+    band_of,
+    held_out,
+    on_other_roads,
+)
+from training.study.generalise.mean_features import learned_for_windows
+from training.study.generalise.passages import Passages
+from training.study.generalise.pooling import CONFIGS
+from training.study.generalise.rules import MEDIAN, REFINED, RULES, WEIGHTED, rule_on_rows
+from training.study.generalise.shrinkage import (
+    evidence_of_estimates,
+    learned_shrinkage,
+    learned_temper_exponent,
+    spread_ratio,
+)
+from training.study.paper_features import columns_by_name
+from training.study.picture import Axis, Line, Lines
+from training.study.recipes import Recipe
+from vehicle_client.simulator.plan import SensorGrade
+
+BATCHES_SET = "random-roads-batches"
+SIZES_COUNT = (10, 50)
+BATCHES_COUNT = 200
+QUICK_BATCHES_COUNT = 40
+LEAST_MU = 1e-3
+PROFILE_COLUMNS = tuple(f"grip_profile_{100 * mu:.0f}_ratio" for mu in PROFILE_FRICTIONS_MU)
+GRID_MU: FloatArray = np.array(PROFILE_FRICTIONS_MU)
+
+FLOOR = "median of perfect estimates"
+PROFILES = "sum of the vehicles' likelihoods"
+LIKELIHOOD = "sum of the regressor's likelihoods"
+MIXTURE = "the vehicles' likelihood where sharper, else the regressor's"
+MEAN_FEATURES = "regressor for mean features"
+BOTH = "regressor's likelihoods and mean features"
+CHOSEN = LIKELIHOOD
+"""The estimator of the headline, chosen on other roads than those that judge it: it asks nothing new of a bundle but a
+table of sixty numbers, and nothing of a unit but what its window holds."""
+COMPARED = (MEDIAN, WEIGHTED, REFINED, PROFILES, LIKELIHOOD, MIXTURE, MEAN_FEATURES, BOTH)
+
+_BIAS_WORST = ("mean bias", "worst 95th percentile")
+
+BatchRule: TypeAlias = Callable[[RowBatches], FloatArray]
+"""From the rows of batches to the midpoint for each."""
+Errors: TypeAlias = dict[tuple[str, int], tuple[CellErrors, ...]]
+"""Of every cell, by rule and number of vehicles."""
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """What passages say of the friction of a new tyre, one line of logarithms each.
+
+    Attributes:
+        of_profiles: By the likelihood they sent. (n, m)
+        of_estimates: By what the regressor makes of them. (n, m)
+        new_mu: The frictions. (m,)
+    """
+
+    of_profiles: FloatArray
+    of_estimates: FloatArray
+    new_mu: FloatArray
+
+    @property
+    def sharper(self) -> FloatArray:
+        """Of each passage the line that leaves less open. (n, m)"""
+        by_profile, by_estimate = (
+            spread_ratio(lines, new_mu=self.new_mu) for lines in (self.of_profiles, self.of_estimates)
+        )
+        return np.where((by_profile < by_estimate)[:, None], self.of_profiles, self.of_estimates)
+
+    def summed(self, lines: FloatArray) -> BatchRule:
+        """Return the rule that adds up lines of evidence; rows as in the table."""
+        log_mu = np.log(self.new_mu)
+
+        def midpoints_mu(batches: RowBatches) -> FloatArray:
+            sums = lines[batches].sum(axis=1)
+            return MEDIAN_TYRE_RATIO * np.array(
+                [placement(one, log_mu=log_mu, confidence_frac=0.95).mu_new for one in sums]
+            )
+
+        return midpoints_mu
+
+
+def compute(bench: Workbench, grade: SensorGrade) -> Result:
+    """Judge every way of combining vehicles on roads with many of them, by regressors that learned from other roads."""
+    figures: dict[str, float] = {}
+    tables: list[Table] = []
+    pictures: list[Lines] = []
+    judged = bench.runs(BATCHES_SET, grade)
+    count = QUICK_BATCHES_COUNT if bench.quick else BATCHES_COUNT
+    sizes = {"batches per cell": count, "seed": bench.seed}
+    for config, recipe in CONFIGS.items():
+        learned = held_out(bench, grade, recipe)
+        there = on_other_roads(bench, grade, recipe, data_set=BATCHES_SET)
+        temper_exponent = profile_temper_exponent(bench, grade, learned)
+        rules = rules_on(bench, grade, recipe, learned, there, temper_exponent=temper_exponent)
+        cells = cells_of(judged.section_id, judged.labels["base_friction_mu"], rows=there.rows)
+        sizes |= {"drives learned from": len(learned), "drives judged": len(there), "cells": len(cells)}
+        found: Errors = {}
+        for done, (name, rule) in enumerate(rules.items()):
+            bench.report(f"many vehicles on unseen roads, {recipe.name}, {grade}", done, len(rules))
+            for size in SIZES_COUNT:
+                found[name, size] = judged_cells(cells, rule, size_count=size, batches_count=count, seed=bench.seed)
+        figures[f"{config}.temper_exponent"] = temper_exponent
+        for (name, size), errors in found.items():
+            bias = np.abs([one.bias_ratio for one in errors])
+            figures[f"{config}.{name}.{size}.bias_mean"] = float(bias.mean())
+            figures[f"{config}.{name}.{size}.bias_worst"] = float(bias.max())
+            figures[f"{config}.{name}.{size}.mean"] = float(np.mean([one.mean_ratio for one in errors]))
+            figures[f"{config}.{name}.{size}.p95_median"] = float(np.median([one.p95_ratio for one in errors]))
+            figures[f"{config}.{name}.{size}.worst_p95"] = worst_cell(errors).p95_ratio
+        figures[f"headline.{config}.interval50_worst_unseen"] = figures[f"{config}.{CHOSEN}.50.worst_p95"]
+        figures[f"headline.{config}.interval50_worst_unseen_median"] = figures[f"{config}.{MEDIAN}.50.worst_p95"]
+        tables += [_table(recipe.name, found, size) for size in SIZES_COUNT]
+        tables.append(_table_by_use(recipe.name, found, use_ratio=_use_ratio(cells, judged)))
+        pictures.append(_picture(recipe.name, found))
+    return Result(figures=figures, sizes=sizes, tables=tuple(tables), pictures=tuple(pictures))
+
+
+def profile_temper_exponent(bench: Workbench, grade: SensorGrade, learned: HeldOut) -> float:
+    """Return how far the vehicles' likelihoods are to be believed, by the roads that were learned from."""
+
+    def work() -> Arrays:
+        exponent = learned_temper_exponent(
+            columns_by_name(learned.runs, PROFILE_COLUMNS)[learned.rows],
+            grid_mu=GRID_MU,
+            base_friction_mu=learned.runs.labels["base_friction_mu"][learned.rows],
+        )
+        return {"exponent": np.array([exponent])}
+
+    return float(bench.remembered(f"profile-temper-{RANDOM_ROADS_SET}-{grade}-{bench.seed}", work)["exponent"][0])
+
+
+def rules_on(
+    bench: Workbench,
+    grade: SensorGrade,
+    recipe: Recipe,
+    learned: HeldOut,
+    there: HeldOut,
+    *,
+    temper_exponent: float,
+) -> dict[str, BatchRule]:
+    """Return the rules that are compared, each for rows of the table of drives that are judged.
+
+    Args:
+        bench: Where the data comes from.
+        grade: Sensors.
+        recipe: The regressor's.
+        learned: Drives on the roads learned from, each judged by regressors that had not seen its road.
+        there: Drives on the roads that judge.
+        temper_exponent: How far the vehicles' likelihoods are believed.
+    """
+    runs = there.runs
+    shrinkage = learned_shrinkage(
+        np.maximum(learned.mu, LEAST_MU),
+        expected_error_ratio=learned.expected_error_ratio,
+        label_mu=learned.label_mu,
+    )
+    mu = np.maximum(there.mu, LEAST_MU)
+    estimates = unshrunk(mu, expected_error_ratio=there.expected_error_ratio, shrinkage=shrinkage)
+    new_mu = new_tyre_grid_mu(GRID_MU)
+    profiles = evidence_of_profiles(
+        columns_by_name(runs, PROFILE_COLUMNS)[there.rows],
+        grid_mu=GRID_MU,
+        policy=ProfilePolicy(temper_exponent=temper_exponent),
+    )
+    by_estimate = evidence_of_estimates(estimates, new_mu=new_mu)
+    evidence = Evidence(_of_all_rows(profiles, there), _of_all_rows(by_estimate, there), new_mu)
+    passages = Passages(
+        mu=_of_all_rows(mu, there),
+        expected_error_ratio=_of_all_rows(there.expected_error_ratio, there),
+        at_least=np.zeros(len(runs), dtype=np.bool_),
+    )
+    likelihood = evidence.summed(evidence.of_estimates)
+    mean_features = _mean_features_rule(bench, grade, recipe, learned, runs)
+    return {
+        FLOOR: _one_by_one(published_rule(runs.labels["label_mu"])),
+        **{name: _one_by_one(rule_on_rows(RULES[name], passages)) for name in (MEDIAN, WEIGHTED, REFINED)},
+        PROFILES: evidence.summed(evidence.of_profiles),
+        LIKELIHOOD: likelihood,
+        MIXTURE: evidence.summed(evidence.sharper),
+        MEAN_FEATURES: mean_features,
+        BOTH: lambda batches: np.sqrt(likelihood(batches) * mean_features(batches)),
+    }
+
+
+def judged_cells(
+    cells: tuple[Cell, ...], rule: BatchRule, *, size_count: int, batches_count: int, seed: int
+) -> tuple[CellErrors, ...]:
+    """Return how a rule does on each cell, on the batches that every rule is judged on; all cells asked at once."""
+    batches = [batches_of_cell(cell, size_count=size_count, batches_count=batches_count, seed=seed) for cell in cells]
+    answers = rule(np.concatenate(batches)).reshape(len(cells), batches_count)
+    return tuple(
+        errors_of_answers(cell, line, size_count=size_count) for cell, line in zip(cells, answers, strict=True)
+    )
+
+
+def _one_by_one(rule: Callable[[RowIndices], float]) -> BatchRule:
+    return lambda batches: np.array([rule(batch) for batch in batches], dtype=np.float64)
+
+
+def _mean_features_rule(
+    bench: Workbench, grade: SensorGrade, recipe: Recipe, learned: HeldOut, judged: Runs
+) -> BatchRule:
+    features = columns_by_name(judged, recipe.features)
+    bench.report(f"regressor for mean features, {recipe.name}, {grade}", 0, 1)
+    estimate_mu = learned_for_windows(
+        recipe,
+        columns_by_name(learned.runs, recipe.features)[learned.rows],
+        label_mu=learned.label_mu,
+        roads=learned.roads,
+    )
+
+    def midpoints_mu(batches: RowBatches) -> FloatArray:
+        return np.maximum(estimate_mu(np.array([features[batch].mean(axis=0) for batch in batches])), LEAST_MU)
+
+    return midpoints_mu
+
+
+def _of_all_rows(values: FloatArray, there: HeldOut) -> FloatArray:
+    """Return one line per run, NaN without a summary."""
+    whole = np.full((len(there.runs), *values.shape[1:]), np.nan)
+    whole[there.rows] = values
+    return whole
+
+
+def _table(recipe_name: str, found: Errors, size: int) -> Table:
+    rows: list[tuple[TableCell, ...]] = []
+    for name in (FLOOR, *COMPARED):
+        errors = found[name, size]
+        bias = np.abs([one.bias_ratio for one in errors])
+        p95, worst = [one.p95_ratio for one in errors], worst_cell(errors)
+        mean = np.mean([one.mean_ratio for one in errors])
+        figures = (mean, bias.mean(), bias.max(), np.median(p95), worst.p95_ratio)
+        where = f"{worst.road} at {worst.base_friction_mu:.2f}, {100.0 * worst.bias_ratio:+.0f}"
+        rows.append((name, *(100.0 * float(figure) for figure in figures), where))
+    return Table(
+        f"{size} vehicles on unseen random roads, {recipe_name} regressor, in per cent",
+        ("rule", "mean error", "mean bias", "worst bias", "typical 95th percentile", "worst one", "there, bias"),
+        tuple(rows),
+        "Bias: mean signed error of the batches of one road and one base friction; its magnitude averaged over such "
+        "cells, and the largest. 95th percentile of the magnitude over batches: median over cells, and the worst.",
+    )
+
+
+def _use_ratio(cells: tuple[Cell, ...], runs: Runs) -> FloatArray:
+    """Return which share of the grip the middle vehicle of each cell used at most. (cells,)"""
+    peak = runs.labels["peak_utilisation_ratio"]
+    return np.array([float(np.median(peak[cell.rows])) for cell in cells])
+
+
+def _table_by_use(recipe_name: str, found: Errors, *, use_ratio: FloatArray) -> Table:
+    rows: list[tuple[TableCell, ...]] = []
+    for band in UTILISATION_BANDS:
+        chosen = np.flatnonzero(band_of(use_ratio, band)).tolist()
+        if chosen:
+            cells: list[TableCell] = [band_name(band), len(chosen)]
+            for name in (MEDIAN, CHOSEN):
+                errors = [found[name, 50][i] for i in chosen]
+                cells += [
+                    100.0 * float(np.mean([abs(one.bias_ratio) for one in errors])),
+                    100.0 * worst_cell(errors).p95_ratio,
+                ]
+            rows.append(tuple(cells))
+    columns = (
+        "share of the grip used",
+        "cells",
+        *(f"{what}, {by}" for by in ("median", CHOSEN) for what in _BIAS_WORST),
+    )
+    return Table(
+        f"Fifty vehicles on unseen random roads by the grip they use, {recipe_name} regressor, in per cent",
+        columns,
+        tuple(rows),
+        "The largest share of the grip that the middle vehicle of a cell used.",
+    )
+
+
+def _picture(recipe_name: str, found: Errors) -> Lines:
+    lines = []
+    for name in (FLOOR, *COMPARED):
+        by_friction: dict[float, list[float]] = {}
+        for one in found[name, 50]:
+            by_friction.setdefault(one.base_friction_mu, []).append(abs(one.bias_ratio))
+        x = tuple(sorted(by_friction))
+        y = tuple(100.0 * float(np.mean(by_friction[friction])) for friction in x)
+        lines.append(Line(name, x, y, dashed=name == FLOOR))
+    return Lines(
+        f"Bias of fifty vehicles on unseen roads, {recipe_name} regressor",
+        Axis("base friction"),
+        Axis("magnitude of the bias, mean over roads, per cent", low=0.0),
+        tuple(lines),
+    )
+
+
+def verdict(results: Mapping[SensorGrade, Result]) -> Verdict:
+    """Say what adding up likelihoods wins over adding up answers, and what is left."""
+    texts = [_told(grade, config, result.figures) for grade, result in results.items() for config in CONFIGS]
+    return Verdict(Claim.NOT_CLAIMED, " ".join(texts))
+
+
+def _told(grade: SensorGrade, config: str, figures: Mapping[str, float]) -> str:
+    def per_cent(rule: str, what: str) -> str:
+        return f"{100.0 * figures[f'{config}.{rule}.50.{what}']:.1f} %"
+
+    worst = {rule: figures[f"{config}.{rule}.50.worst_p95"] for rule in COMPARED}
+    least = min(COMPARED, key=lambda rule: worst[rule])
+    change = worst[CHOSEN] / worst[MEDIAN] - 1.0
+    direction = "less" if change < 0.0 else "more"
+    return (
+        f"{grade.value.capitalize()} sensors, {config}, fifty vehicles on unseen roads: the median is off by "
+        f"{per_cent(MEDIAN, 'bias_mean')} in the mean over roads and frictions, the refined interval by "
+        f"{per_cent(REFINED, 'bias_mean')}, the sum of the vehicles' likelihoods by {per_cent(PROFILES, 'bias_mean')}, "
+        f"that of the regressor's likelihoods by {per_cent(LIKELIHOOD, 'bias_mean')}, a regressor for mean features by "
+        f"{per_cent(MEAN_FEATURES, 'bias_mean')}. In the worst cell 95 % of the batches are within "
+        f"{per_cent(CHOSEN, 'worst_p95')} with the regressor's likelihoods, {abs(100.0 * change):.0f} % {direction} "
+        f"than with the median; the least of all rules is {per_cent(least, 'worst_p95')} ({least}). What is left is "
+        "what all vehicles on one road share, which no number of them averages out."
+    )
+
+
+CHAPTER = Chapter(
+    name="profiles",
+    title="Likelihoods that add up: many vehicles on a road nobody has learned",
+    paper_says="",
+    compute=compute,
+    verdict=verdict,
+    needs=(RANDOM_ROADS_SET, BATCHES_SET),
+)
