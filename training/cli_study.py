@@ -14,6 +14,7 @@ from rich.table import Table
 from rich.text import Text
 
 from training.cli_designs import AsJson, console
+from training.cli_study_tune import tune_recipe
 from training.code_identity import code_digest
 from training.study.chapter import Chapter
 from training.study.course import Stage, State, conduct, kept_findings, plan
@@ -156,6 +157,7 @@ def _add_command(part: Part) -> None:
 
 for _part in Part:
     _add_command(_part)
+study_app.command(name="tune")(tune_recipe)
 
 
 @study_app.command(name="list")

@@ -215,8 +215,10 @@ def band_of(values: FloatArray, band: tuple[float, float]) -> BoolArray:
 def band_name(band: tuple[float, float], *, unit: str = "") -> str:
     """Return a band for people, such as "0.3 to 0.4", "below 0.3" or "0.8 and more"."""
     low, high = band
-    words = f"below {high:g}" if low <= 0.0 else f"{low:g} and more" if np.isinf(high) else f"{low:g} to {high:g}"
-    return f"{words} {unit}".strip()
+    unit = f" {unit}" if unit else ""
+    if low <= 0.0:
+        return f"below {high:g}{unit}"
+    return f"{low:g}{unit} and more" if np.isinf(high) else f"{low:g} to {high:g}{unit}"
 
 
 def _miss(mu: FloatArray, label_mu: FloatArray) -> FloatArray:

@@ -129,3 +129,4 @@ def test_bands_read_as_people_say_them():
         "0.8 and more",
     ]
     assert band_name((35.0, 70.0), unit="m") == "35 to 70 m"
+    assert band_name((140.0, np.inf), unit="m") == "140 m and more"
