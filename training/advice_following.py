@@ -18,7 +18,14 @@ import numpy as np
 
 from rsu_app.domain.advisory import AdvisoryPolicy, advise
 from rsu_app.domain.interval import WORN_TYRE_RATIO, IntervalPolicy, friction_interval
-from vehicle_client.simulator.plan import DriverKind, FrictionProfile, PassagePlan, SensorGrade, draw_plan
+from vehicle_client.simulator.plan import (
+    SPEED_SPREAD_RATIO,
+    DriverKind,
+    FrictionProfile,
+    PassagePlan,
+    SensorGrade,
+    draw_plan,
+)
 from vehicle_client.simulator.vehicle import XC90, Vehicle
 
 if TYPE_CHECKING:
@@ -94,8 +101,26 @@ def draw_advised_plan(
         vehicle=vehicle,
     )
     advised_mps = draw_advisory(rng, section=section, base_friction_mu=base_friction_mu).speed_mps
-    wished_mps = advised_mps * rng.triangular(1.0 - OBEDIENCE_SPREAD_RATIO, 1.0, 1.0 + OBEDIENCE_SPREAD_RATIO)
+    obedience_ratio = draw_obedience_ratio(rng)
     follows = bool(rng.random() < compliance_frac)
-    if not follows:
-        return plan
-    return replace(plan, target_speed_mps=max(SLOWEST_FRAC * section.speed_limit_mps, wished_mps))
+    return obedient(plan, told_mps=obedience_ratio * advised_mps, section=section) if follows else plan
+
+
+def draw_obedience_ratio(rng: np.random.Generator) -> float:
+    """Return the speed of one who follows an advice over the advised one."""
+    return rng.triangular(1.0 - OBEDIENCE_SPREAD_RATIO, 1.0, 1.0 + OBEDIENCE_SPREAD_RATIO)
+
+
+def obedient(plan: PassagePlan, *, told_mps: float, section: RoadSection) -> PassagePlan:
+    """Return how one drives who wishes the speed he is told, and none below `SLOWEST_FRAC` of the rated one."""
+    return replace(plan, target_speed_mps=max(SLOWEST_FRAC * section.speed_limit_mps, told_mps))
+
+
+def with_any_speed(plan: PassagePlan, rng: np.random.Generator, *, section: RoadSection) -> PassagePlan:
+    """Return how the same driver drives in the same car with a speed in mind that has nothing to do with the friction.
+
+    Even from `SLOWEST_FRAC` of the rated speed to the highest of the paper's drivers. Models that shall live with
+    advice, and with what is wrong in it, must know slow drives on dry roads and fast ones on ice.
+    """
+    fastest_frac = 1.0 + SPEED_SPREAD_RATIO
+    return replace(plan, target_speed_mps=section.speed_limit_mps * rng.uniform(SLOWEST_FRAC, fastest_frac))

@@ -140,6 +140,10 @@ def _mixed(size: Size, seed: int) -> tuple[Scenario, ...]:
     return known + random_roads(seed, size.random_roads_count, attempted(size.random_runs_count))
 
 
+def _any_speed(size: Size, seed: int) -> tuple[Scenario, ...]:
+    return tuple(replace(scenario, any_speed=True) for scenario in _mixed(size, seed))
+
+
 DESIGNS: Mapping[str, NamedDesign] = {
     "paper": NamedDesign("the paper's test matrix: four scenarios at 11 base frictions, kept runs per cell", _paper),
     "varied-vehicles": NamedDesign(
@@ -160,6 +164,9 @@ DESIGNS: Mapping[str, NamedDesign] = {
         "straight driving at constant speed, braking softly and fully, accelerating, at 0.2 to 1.0",
         _straight,
         MANOEUVRE_FRICTIONS_MU,
+    ),
+    "any-speed": NamedDesign(
+        "the mixed roads with drivers of any speed, slow or fast whatever the friction", _any_speed
     ),
     "mixed": NamedDesign("the paper's three roads and random ones, attempts per cell; the default bundle's", _mixed),
 }

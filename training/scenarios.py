@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from roadgrip.section import RoadSection
-from training.advice_following import draw_advised_plan
+from training.advice_following import draw_advised_plan, with_any_speed
 from training.friction_profiles import two_frictions
 from training.manoeuvres import StraightCase, draw_extreme_plan, draw_straight_plan
 from vehicle_client.estimation.handling import XC90_HANDLING, Handling
@@ -75,6 +75,8 @@ class Scenario:
         extreme: Whether test drivers drive, as fast as the surface lets them, every other one without stability
             systems.
         straight_case: What the pedals do, on the straight section.
+        any_speed: Whether drivers wish any speed from `SLOWEST_FRAC` of the rated one to the paper's highest, whatever
+            the friction: someone ahead of them, an advice that is wrong, a view.
         drawn_as: Scenarios with the same word here have the same drivers, tyres and surfaces, run by run; None: its
             own name.
     """
@@ -87,6 +89,7 @@ class Scenario:
     compliance_frac: float | None = None
     extreme: bool = False
     straight_case: StraightCase | None = None
+    any_speed: bool = False
     drawn_as: str | None = None
 
     @property
@@ -100,7 +103,9 @@ class Scenario:
             str(self.straight_case),
             self.drawn_as,
         )
-        return f"{self.name}|{self.section.section_id}|{self.section.version}|{way}"
+        # Named where it is so, as usual designs keep their names.
+        speed = "|any speed" if self.any_speed else ""
+        return f"{self.name}|{self.section.section_id}|{self.section.version}|{way}{speed}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -209,7 +214,7 @@ def _plan(
         return draw_extreme_plan(rng, section=section, base_friction_mu=base_friction_mu, grade=grade, vehicle=vehicle)
     profile = two_frictions(section, base_friction_mu=base_friction_mu) if scenario.two_frictions else None
     if scenario.compliance_frac is None:
-        return draw_plan(
+        usual = draw_plan(
             rng,
             section=section,
             base_friction_mu=base_friction_mu,
@@ -219,6 +224,7 @@ def _plan(
             with_gnss=with_gnss,
             vehicle=vehicle,
         )
+        return with_any_speed(usual, rng, section=section) if scenario.any_speed else usual
     return draw_advised_plan(
         rng,
         section=section,

@@ -99,6 +99,18 @@ def test_who_follows_the_advice_at_one_compliance_follows_at_a_higher_one_and_th
     assert 0.4 * scenario.section.speed_limit_mps <= slowest < 0.8 * scenario.section.speed_limit_mps
 
 
+def test_drivers_of_any_speed_are_the_usual_ones_but_for_their_speeds_which_say_nothing_of_friction(
+    scenario: Scenario,
+) -> None:
+    usual, any_speed = runs(scenario, count=60), runs(replace(scenario, any_speed=True), count=60)
+    pairs = [(a.plan, b.plan) for a, b in zip(usual, any_speed, strict=True)]
+    assert all(replace(one, target_speed_mps=other.target_speed_mps) == other for one, other in pairs)
+    share = [(run.plan.target_speed_mps or 0.0) / scenario.section.speed_limit_mps for run in any_speed]
+    assert 0.4 <= min(share) < 0.5
+    assert 1.1 < max(share) <= 1.2
+    assert replace(scenario, any_speed=True).identity != scenario.identity
+
+
 def test_all_vehicles_with_automotive_sensors_have_one_slightly_wrong_map(s_turn: RoadSection) -> None:
     automotive = replace(TERMS, sensor_grade=SensorGrade.AUTOMOTIVE)
     surveyed = surveyed_map(automotive, s_turn)

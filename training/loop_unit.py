@@ -1,0 +1,134 @@
+"""A road side unit without store, clock or radio: the rules it applies, for vehicles that the laboratory drives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields, replace
+from math import isfinite, nan
+
+import numpy as np
+
+from roadgrip.features import PROFILE_FRICTIONS_MU
+from roadgrip.records import Advisory, FrictionInterval, NotCounted
+from roadgrip.section import RoadSection
+from roadgrip.units import WINDOW_S, FloatArray
+from rsu_app.domain.advisory import AdvisoryPolicy, advise
+from rsu_app.domain.change import ChangePolicy
+from rsu_app.domain.interval import MEDIAN_TYRE_RATIO, IntervalPolicy, friction_interval
+from rsu_app.domain.judgement import Judgement
+from rsu_app.domain.pooling import PoolingPolicy, RefinedInterval, refined_interval_of_window
+from rsu_app.domain.profiles import ProfilePolicy, pooled_profile
+from rsu_app.domain.watch import ChangeWatch
+from rsu_app.domain.window import FrictionWindow, WindowRows
+
+
+@dataclass(frozen=True, slots=True)
+class UnitRules:
+    """What is decided about a unit.
+
+    Attributes:
+        interval: About intervals.
+        advisory: About advice.
+        change: When the road is held to have changed; None: it waits until the hour has passed.
+        pooling: How the interval comes about that advice rests on: by estimates with their errors and bounds, or by
+            the sum of all likelihoods of friction; where it is a lower bound only, advice rests on that. None: by the
+            median, to which a bound is an estimate.
+    """
+
+    interval: IntervalPolicy = field(default_factory=IntervalPolicy)
+    advisory: AdvisoryPolicy = field(default_factory=AdvisoryPolicy)
+    change: ChangePolicy | None = None
+    pooling: PoolingPolicy | ProfilePolicy | None = None
+
+
+class LoopUnit:
+    """The unit of one section.
+
+    Args:
+        section: The road.
+        rules: What is decided.
+    """
+
+    def __init__(self, section: RoadSection, rules: UnitRules) -> None:
+        self._section = section
+        self._rules = rules
+        self._window = FrictionWindow(window_s=WINDOW_S)
+        self._watch = None if rules.change is None else ChangeWatch(policy=rules.change, window_s=WINDOW_S)
+        self._profiles: list[tuple[float, FloatArray]] = []
+        self._advised_mps: float | None = None
+
+    def hear(self, judged: Judgement, *, left_at_s: float, profile_ratio: FloatArray) -> bool:
+        """Return whether a passage counts; from now on, if it does.
+
+        Args:
+            judged: What it says.
+            left_at_s: When the vehicle left the section.
+            profile_ratio: Its log likelihood at `roadgrip.features.PROFILE_FRICTIONS_MU`. (k,)
+        """
+        if judged.mu is None or judged.flags != NotCounted.NONE:
+            return False
+        self._window.add(
+            left_at_s=left_at_s,
+            mu=judged.mu,
+            at_least=judged.at_least,
+            mu_low=nan if judged.mu_low is None else judged.mu_low,
+            expected_error_ratio=nan if judged.expected_error_ratio is None else judged.expected_error_ratio,
+        )
+        self._profiles.append((left_at_s, profile_ratio))
+        if self._watch is not None and not judged.at_least:
+            self._watch.add(left_at_s=left_at_s, mu=judged.mu)
+        return True
+
+    def interval(self, *, now_s: float) -> FrictionInterval | None:
+        """Return the interval that advice rests on, None without a vehicle."""
+        self._window.evict(now_s=now_s)
+        from_s = now_s - self._window.window_s
+        if self._watch is not None:
+            from_s = max(from_s, self._watch.counted_from_s(self._window, now_s=now_s))
+        rows = _since(self._window.rows, from_s)
+        interval = friction_interval(
+            np.sort(rows.mu).tolist(),
+            newest_age_s=max(0.0, now_s - self._window.newest_left_at_s),
+            policy=self._rules.interval,
+        )
+        if interval is None:
+            return None
+        refined = self._refined(rows, from_s=from_s)
+        return interval if refined is None else _replaced(interval, refined)
+
+    def _refined(self, rows: WindowRows, *, from_s: float) -> RefinedInterval | None:
+        policy = self._rules.pooling
+        if isinstance(policy, PoolingPolicy):
+            return refined_interval_of_window(rows, policy=policy)
+        if policy is None:
+            return None
+        self._profiles = [told for told in self._profiles if told[0] >= from_s]
+        values = np.array([profile_ratio for _, profile_ratio in self._profiles])
+        return pooled_profile(values, grid_mu=np.array(PROFILE_FRICTIONS_MU), policy=policy)
+
+    def advise(self, *, now_s: float) -> Advisory:
+        """Return what drivers are told now."""
+        advisory = advise(
+            self._section,
+            interval=self.interval(now_s=now_s),
+            model_live=True,
+            policy=self._rules.advisory,
+            previous_speed_mps=self._advised_mps,
+        )
+        self._advised_mps = advisory.speed_mps
+        return advisory
+
+
+def _replaced(interval: FrictionInterval, refined: RefinedInterval) -> FrictionInterval:
+    """Return an interval that stands where a refined one does, for advice that takes it for the published one."""
+    sure_mu = refined.mu_new - (refined.half_width_mu if isfinite(refined.half_width_mu) else 0.0)
+    return replace(
+        interval,
+        mu_low=refined.mu_low,
+        mu_new=refined.mu_new,
+        median_low_mu=MEDIAN_TYRE_RATIO * max(sure_mu, 0.0),
+    )
+
+
+def _since(rows: WindowRows, from_s: float) -> WindowRows:
+    first = int(np.searchsorted(rows.left_at_s, from_s))
+    return WindowRows(**{field.name: getattr(rows, field.name)[first:] for field in fields(rows)})
