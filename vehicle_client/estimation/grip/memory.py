@@ -28,8 +28,7 @@ if TYPE_CHECKING:
 
 FORMAT = 1
 SURPRISE_LIMIT = 25.0
-"""Squared distance, in standard deviations, up to which a lesson counts in full: beyond, it cannot move the memory much
-farther than a lesson at this distance."""
+"""Squared distance, in standard deviations, that one lesson may move the memory; if it asks for more it counts less."""
 FARTHEST = 4.0
 """No constant is thought to lie more of its first deviations away from what was declared."""
 MAP_LEVEL_STD_MPS2 = 0.065
@@ -143,9 +142,9 @@ def remembered(memory: CarMemory, lesson: Lesson) -> CarMemory:
     prior = np.linalg.inv(before / np.outer(unit, unit))
     information, pull = lesson.information * np.outer(unit, unit), lesson.pull * unit
     step = np.linalg.solve(prior + information, pull)
-    surprise = float(step @ prior @ step)
-    if surprise > SURPRISE_LIMIT:
-        trust = SURPRISE_LIMIT / surprise
+    # The less a lesson is trusted the smaller its step; without any trust there is none.
+    while (surprise := float(step @ prior @ step)) > SURPRISE_LIMIT:
+        trust = min(0.7, SURPRISE_LIMIT / surprise)
         information, pull = trust * information, trust * pull
         step = np.linalg.solve(prior + information, pull)
     covariance: FloatArray = np.asarray(np.linalg.inv(prior + information), dtype=np.float64) * np.outer(unit, unit)
