@@ -12,6 +12,7 @@ from vehicle_client.estimation.gaps import believable, bridged, longest_gap_s, m
 from vehicle_client.estimation.grip.evidence import grip_evidence
 from vehicle_client.estimation.grip.lesson import passage_lesson
 from vehicle_client.estimation.grip.memory import CarMemory, remembered
+from vehicle_client.estimation.grip.motion import silent_without
 from vehicle_client.estimation.grip.noise import AUTOMOTIVE_NOISE, GripNoise
 from vehicle_client.estimation.grip.recall import Sensed, recalled
 from vehicle_client.estimation.handling import XC90_HANDLING, Handling
@@ -153,6 +154,7 @@ def summarise_passage(
         speed_mps=signals.speed_mps,
         steer_rad=trace.steer_rad - offsets.steer_rad,
         wheel_speed_mps=trace.wheel_speed_mps,
+        absent=trace.absent,
     )
     summary = kinematic_summary(
         signals,
@@ -198,6 +200,8 @@ def memory_after(
 ) -> CarMemory:
     """Return what a car remembers of itself after a passage. Takes as long as the summary; nobody waits for it.
 
+    A car that lacks a sensor of those it would learn from learns nothing.
+
     Args:
         sensed: Over the section.
         memory: Before the passage.
@@ -206,6 +210,8 @@ def memory_after(
         handling: What is declared of its masses, springs and tyres.
         noise: What is declared of its sensors.
     """
+    if silent_without(sensed.absent):
+        return memory
     lesson = passage_lesson(
         sensed, friction_mu=friction_mu, handling=handling, geometry=vehicle, noise=noise, memory=memory
     )

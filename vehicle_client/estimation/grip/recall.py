@@ -32,6 +32,7 @@ class Sensed:
         speed_mps: Forward, from the encoders. (n,)
         steer_rad: Mean angle of the front wheels. (n,)
         wheel_speed_mps: Columns as in `WHEELS`. (n, 4)
+        absent: Channels that the car lacks, as in `Trace`.
     """
 
     section: RoadSection
@@ -42,6 +43,7 @@ class Sensed:
     speed_mps: FloatArray
     steer_rad: FloatArray
     wheel_speed_mps: FloatArray
+    absent: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,6 +95,7 @@ def recalled(
         wheel_speed_mps=sensed.wheel_speed_mps,
         handling=handling,
         level_gain_ratio=noise.level_gain_ratio,
+        absent=sensed.absent,
     )
     return Recalled(motion, handling, noise)
 
