@@ -83,7 +83,7 @@ def passage_lesson(
         memory: Of the car, before the passage.
     """
     seen = recalled(sensed, handling=handling, noise=noise, memory=memory, approach_counts=False)
-    information, pull = _by_inverse(seen, friction_mu, geometry, memory)
+    information, pull = by_inverse(seen, friction_mu, geometry, memory)
     for slopes, missed, std in _by_map(sensed, seen, memory):
         information += np.outer(slopes, slopes) / std**2
         pull += slopes * missed / std**2
@@ -143,10 +143,17 @@ def _by_map(sensed: Sensed, seen: Recalled, memory: CarMemory) -> list[tuple[Flo
     ]
 
 
-def _by_inverse(
+def by_inverse(
     seen: Recalled, friction_mu: float, geometry: VehicleGeometry, memory: CarMemory
 ) -> tuple[FloatArray, FloatArray]:
-    """Return information and pull of the three channels, friction and what is new in the passage taken out."""
+    """Return information and pull of the three channels, friction and what is new in the passage taken out.
+
+    Args:
+        seen: With what the car remembers taken out.
+        friction_mu: That explains the passage best.
+        geometry: Of the car.
+        memory: Of the car, before the passage.
+    """
     motion, noise = seen.motion, seen.noise
 
     def channels_at(at_mu: float, of_motion: Motion, handling: Handling) -> Channels:
