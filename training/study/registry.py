@@ -45,6 +45,7 @@ CHAPTER_MODULES: Mapping[Part, tuple[str, ...]] = MappingProxyType(
             "learning_curve",
             "features",
             "uncertainty",
+            "vehicles",
             "pooling",
             "profiles",
             "liars",

@@ -16,12 +16,14 @@ import numpy as np
 
 from roadgrip.errors import ConfigurationError
 from roadgrip.features import FEATURE_NAMES
+from training.car_lives import Lives
 from training.dataset import LABEL_COLUMNS, RUNS_FILE_NAME, DatasetError, Runs, read_description
 from training.designs import BASE_FRICTIONS_MU, named_design
+from training.life_simulation import is_lived, live, lives_description
 from training.machine import processor_model
 from training.scenarios import Design, Scenario, Terms, attempted
 from training.simulation import Progress, design_description, drive_design
-from training.study.datasets import DATA_SETS, DataSet
+from training.study.datasets import DATA_SETS, Cars, DataSet
 from vehicle_client.simulator.plan import SensorGrade
 
 USUAL_SEED = 1
@@ -63,11 +65,16 @@ class DesignSource:
 
     def digest(self, name: str, grade: SensorGrade) -> str:
         """Return what changes with the design and with the code that drives it: both fix every run."""
-        described = json.dumps(design_description(self.design(name, grade)), sort_keys=True)
+        lives = self.lives(name, grade)
+        description = design_description(self.design(name, grade)) if lives is None else lives_description(lives)
+        described = json.dumps(description, sort_keys=True)
         return hashlib.sha256(described.encode()).hexdigest()[:16]
 
     def is_there(self, name: str, grade: SensorGrade) -> bool:
         """Return whether the design is driven to its end, by the present code, or has nothing to drive."""
+        lives = self.lives(name, grade)
+        if lives is not None:
+            return is_lived(lives, self.folder_of(name, grade) / RUNS_FILE_NAME)
         if not self.design(name, grade).scenarios:
             return True
         try:
@@ -78,7 +85,8 @@ class DesignSource:
 
     def runs(self, name: str, grade: SensorGrade, on_progress: Callable[[int, int], None]) -> Runs:
         """Return the runs of a data set, driven now as far as they are not there; none if it has no roads here."""
-        if not self.design(name, grade).scenarios:
+        lives = self.lives(name, grade)
+        if lives is None and not self.design(name, grade).scenarios:
             return no_runs()
         folder = self.folder_of(name, grade)
         provenance = {
@@ -92,6 +100,10 @@ class DesignSource:
             on_progress(now.done_count, now.wanted_count)
 
         with _alone_in(folder):
+            if lives is not None:
+                return live(
+                    lives, folder, workers_count=self._workers_count, provenance=provenance, on_progress=on_progress
+                )
             return drive_design(
                 self.design(name, grade),
                 folder,
@@ -105,6 +117,15 @@ class DesignSource:
         if (name, grade) not in self._designs:
             self._designs[name, grade] = self._new_design(name, grade)
         return self._designs[name, grade]
+
+    def lives(self, name: str, grade: SensorGrade) -> Lives | None:
+        """Return the lives of a data set's cars, at the size that is wanted; None if it is a design's."""
+        wanted = data_set(name)
+        if wanted.lives is None:
+            return None
+        size = wanted.quick_size if self._quick else wanted.size
+        seed = wanted.seed + self._seed - USUAL_SEED
+        return Lives(wanted.design, seed, grade, size.runs_count, wanted.lives is Cars.FLEET)
 
     def folder_of(self, name: str, grade: SensorGrade) -> Path:
         """Return where a data set lies."""

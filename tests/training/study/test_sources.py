@@ -3,10 +3,12 @@
 import pytest
 
 from roadgrip.errors import ConfigurationError
+from tests.training.runs import made_up_runs
+from training import life_simulation
 from training.dataset import RUNS_FILE_NAME
 from training.designs import BASE_FRICTIONS_MU, Size
 from training.study import sources
-from training.study.datasets import DATA_SETS, DataSet
+from training.study.datasets import DATA_SETS, Cars, DataSet
 from training.study.sources import DesignSource, data_set
 from vehicle_client.simulator.plan import SensorGrade
 
@@ -15,10 +17,12 @@ TINY = DataSet(
     "tiny", "random-roads", Size(1, random_roads_count=2), Size(1, random_roads_count=1), "for a test", seed=5
 )
 
+LIVES = DataSet("lives", "lives", Size(3), Size(2), "for a test", seed=5, lives=Cars.FLEET)
+
 
 @pytest.fixture
 def source(tmp_path, monkeypatch):
-    monkeypatch.setattr(sources, "DATA_SETS", (TINY,))
+    monkeypatch.setattr(sources, "DATA_SETS", (TINY, LIVES))
 
     def made(*, quick: bool = True, seed: int = 1) -> DesignSource:
         return DesignSource(tmp_path, quick=quick, seed=seed, workers_count=1)
@@ -72,3 +76,23 @@ def test_a_data_set_is_driven_once(source):
     again = source().runs("tiny", IDEAL, lambda *_: None)
     assert again.digest() == first.digest()
     assert written.stat().st_mtime_ns == before
+
+
+def test_lives_are_driven_as_lives(source, monkeypatch):
+    """A group of cars takes seconds: the file alone is made up."""
+    driven = []
+
+    def made_up(lives, group):
+        driven.append((lives.name, lives.seed, group, lives.varied_vehicles))
+        return made_up_runs(12)
+
+    monkeypatch.setattr(life_simulation, "lived", made_up)
+    assert not source().is_there("lives", IDEAL)
+    assert len(source().runs("lives", IDEAL, lambda *_: None)) == 24
+    assert driven == [("lives", 5, group, True) for group in (0, 1)]
+    assert source().is_there("lives", IDEAL)
+    assert not source(quick=False).is_there("lives", IDEAL)
+    assert not source().is_there("lives", AUTOMOTIVE)
+    digests = {source(quick=quick, seed=seed).digest("lives", IDEAL) for quick in (True, False) for seed in (1, 2)}
+    assert len(digests) == 4
+    assert source().lives("tiny", IDEAL) is None
