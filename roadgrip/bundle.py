@@ -12,9 +12,10 @@ import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from math import exp, isfinite
+from math import exp, isfinite, isnan
 from typing import Any
 
+from roadgrip.envelope import DrivingEnvelope
 from roadgrip.errors import BundleError
 from roadgrip.features import table_of
 
@@ -40,6 +41,21 @@ class Envelope:
     lower: tuple[float, ...]
     upper: tuple[float, ...]
     outside_allowed_count: int
+
+
+@dataclass(frozen=True, slots=True)
+class OrdinaryDriving:
+    """The roads and the driving that a model was made for, asked apart; sharper than a box round every feature.
+
+    Attributes:
+        road_columns: Names of the features of the map.
+        road: The box that nearly all such roads lie in, features in that order.
+        driving: What ordinary drivers do on any road.
+    """
+
+    road_columns: tuple[str, ...]
+    road: Envelope
+    driving: DrivingEnvelope
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,6 +121,7 @@ class ModelManifest:
         envelope: Where it was trained.
         golden: Rows with known answers.
         conformal: What the expected error means; None without a model for it.
+        ordinary: Takes the place of the envelope where it was learned; None leaves it to the envelope.
     """
 
     table_digest: str
@@ -115,6 +132,7 @@ class ModelManifest:
     envelope: Envelope
     golden: GoldenVectors
     conformal: Conformal | None
+    ordinary: OrdinaryDriving | None = None
 
     @property
     def files(self) -> tuple[str, ...]:
@@ -211,7 +229,7 @@ def check_files(manifest: BundleManifest, files: dict[str, bytes]) -> None:
 
 
 def _model_from(raw: dict[str, Any]) -> ModelManifest:
-    golden, envelope, conformal = raw["golden"], raw["envelope"], raw["conformal"]
+    golden, conformal = raw["golden"], raw["conformal"]
     errors, error_file = golden["expected_error_ratio"], raw["error_model_file"]
     return ModelManifest(
         table_digest=str(raw["table_digest"]),
@@ -219,11 +237,7 @@ def _model_from(raw: dict[str, Any]) -> ModelManifest:
         model_file=str(raw["model_file"]),
         error_model_file=None if error_file is None else str(error_file),
         mu_range=(float(raw["mu_range"][0]), float(raw["mu_range"][1])),
-        envelope=Envelope(
-            lower=tuple(float(v) for v in envelope["lower"]),
-            upper=tuple(float(v) for v in envelope["upper"]),
-            outside_allowed_count=int(envelope["outside_allowed_count"]),
-        ),
+        envelope=_box_from(raw["envelope"]),
         golden=GoldenVectors(
             rows=tuple(tuple(float(v) for v in row) for row in golden["rows"]),
             mu=tuple(float(v) for v in golden["mu"]),
@@ -236,7 +250,38 @@ def _model_from(raw: dict[str, Any]) -> ModelManifest:
             quantile=float(conformal["quantile"]),
             doubtful_above_ratio=float(conformal["doubtful_above_ratio"]),
         ),
+        ordinary=None if raw["ordinary"] is None else _ordinary_from(raw["ordinary"]),
     )
+
+
+def _box_from(raw: dict[str, Any]) -> Envelope:
+    return Envelope(
+        lower=_floats(raw["lower"]),
+        upper=_floats(raw["upper"]),
+        outside_allowed_count=int(raw["outside_allowed_count"]),
+    )
+
+
+def _ordinary_from(raw: dict[str, Any]) -> OrdinaryDriving:
+    driving = raw["driving"]
+    return OrdinaryDriving(
+        road_columns=tuple(str(name) for name in raw["road_columns"]),
+        road=_box_from(raw["road"]),
+        driving=DrivingEnvelope(
+            columns=tuple(str(name) for name in driving["columns"]),
+            lower=_floats(driving["lower"]),
+            upper=_floats(driving["upper"]),
+            cut_ratio=float(driving["cut_ratio"]),
+            share_frac=_floats(driving["share_frac"]),
+            middle_ratio=tuple(_floats(kind) for kind in driving["middle_ratio"]),
+            whitening_ratio=tuple(tuple(_floats(row) for row in kind) for kind in driving["whitening_ratio"]),
+            limit_level=float(driving["limit_level"]),
+        ),
+    )
+
+
+def _floats(raw: Sequence[Any]) -> tuple[float, ...]:
+    return tuple(float(value) for value in raw)
 
 
 def _check(manifest: BundleManifest) -> None:
@@ -261,6 +306,8 @@ def _check_model(manifest: BundleManifest, model: ModelManifest) -> None:
     problems = {
         "the feature names are not the table's": model.feature_names != table.names,
         "the envelope has another width": {len(model.envelope.lower), len(model.envelope.upper)} != {width},
+        "the ordinary driving is not of the table's features": model.ordinary is not None
+        and not _fits(model.ordinary, table.names),
         "the golden vectors do not fit": {len(row) for row in golden.rows} != {width}
         or len(counts | (set() if errors is None else {len(errors)})) != 1,
         "the friction range is empty": not 0.0 < model.mu_range[0] < model.mu_range[1],
@@ -269,6 +316,12 @@ def _check_model(manifest: BundleManifest, model: ModelManifest) -> None:
         "the expected error means nothing": conformal is not None and not _means_something(conformal),
     }
     _refuse(manifest, problems)
+
+
+def _fits(ordinary: OrdinaryDriving, feature_names: tuple[str, ...]) -> bool:
+    widths = {len(ordinary.road.lower), len(ordinary.road.upper)}
+    known = {*ordinary.road_columns, *ordinary.driving.columns} <= set(feature_names)
+    return known and widths == {len(ordinary.road_columns)} and not isnan(ordinary.driving.limit_level)
 
 
 def _means_something(conformal: Conformal) -> bool:

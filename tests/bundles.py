@@ -15,9 +15,11 @@ from roadgrip.bundle import (
     Envelope,
     GoldenVectors,
     ModelManifest,
+    OrdinaryDriving,
     bundle_id_of,
     manifest_to_json,
 )
+from roadgrip.envelope import DrivingEnvelope
 from roadgrip.features import NEWEST_TABLE, FeatureTable
 from roadgrip.units import FloatArray
 
@@ -86,6 +88,24 @@ def golden_vectors(
         rows=tuple(tuple(float(v) for v in row) for row in rows),
         mu=tuple(float(v) for v in linear_mu(rows, weights=weights, bias_mu=bias_mu, table=table)),
         expected_error_ratio=tuple(float(v) for v in errors) if with_error else None,
+    )
+
+
+def make_ordinary() -> OrdinaryDriving:
+    """Roads of 50 to 600 m, on which more speed goes with more steering to the left."""
+    return OrdinaryDriving(
+        road_columns=("section_length_m",),
+        road=Envelope(lower=(50.0,), upper=(600.0,), outside_allowed_count=0),
+        driving=DrivingEnvelope(
+            columns=("speed_mean_mps", "steer_mean_rad"),
+            lower=(10.0, -0.1),
+            upper=(20.0, 0.1),
+            cut_ratio=5.0,
+            share_frac=(1.0,),
+            middle_ratio=((0.0, 0.0),),
+            whitening_ratio=(((1.0, 0.0), (-5.0, 5.0)),),
+            limit_level=8.0,
+        ),
     )
 
 

@@ -17,6 +17,7 @@ from roadgrip.bundle import (
     Envelope,
     GoldenVectors,
     ModelManifest,
+    OrdinaryDriving,
     bundle_id_of,
     manifest_from_json,
     manifest_to_json,
@@ -75,6 +76,8 @@ class TableModel:
         conformal: What the expected error means; given if and only if `error` is.
         column_names: The features that `friction` was grown on, in their order; all of the table's by default.
         error_column_names: The same for `error`.
+        ordinary: Roads and driving it is made for (`training.study.envelopes`); without, the box of the training rows
+            decides what is counted.
     """
 
     table: FeatureTable
@@ -86,6 +89,7 @@ class TableModel:
     conformal: Conformal | None = None
     column_names: tuple[str, ...] | None = None
     error_column_names: tuple[str, ...] | None = None
+    ordinary: OrdinaryDriving | None = None
 
 
 def write_bundle(
@@ -226,5 +230,6 @@ def _exported(
             expected_error_ratio=errors,
         ),
         conformal=model.conformal,
+        ordinary=model.ordinary,
     )
     return files, manifest, differences

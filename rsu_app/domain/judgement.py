@@ -43,7 +43,7 @@ def judgement(
         mu: What the friction model answered.
         expected_error_ratio: What the model for the expected error answered; None without one.
     """
-    flags = envelope_flag(row, manifest.envelope) | estimate_flag(mu, manifest)
+    flags = envelope_flag(row, manifest) | estimate_flag(mu, manifest)
     if not isfinite(mu):
         return Judgement(mu=None, flags=flags)
     if expected_error_ratio is None or manifest.conformal is None:

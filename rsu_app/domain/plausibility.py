@@ -8,12 +8,13 @@ from math import isfinite
 import numpy as np
 from numpy.typing import NDArray
 
-from roadgrip.bundle import Envelope, ModelManifest
+from roadgrip.bundle import ModelManifest
 from roadgrip.features import STATISTICS, TABLES, FeatureTable
 from roadgrip.reasons import Reason
 from roadgrip.records import PASSAGE_ID_BYTES, KinematicSummary, NotCounted, Passage, Rejected
 from roadgrip.section import RoadSection
 from roadgrip.units import FloatArray
+from rsu_app.domain.envelope import is_strange_driving, is_strange_road, outside_box
 
 AGE_LIMIT_S = 86_400.0
 """A vehicle's spool keeps a passage for a day at most; an older one has a broken clock."""
@@ -120,17 +121,21 @@ def _impossible_times(passage: Passage, section: RoadSection, table: FeatureTabl
     return None
 
 
-def envelope_flag(row: FloatArray, envelope: Envelope) -> NotCounted:
-    """Return whether the model was trained for passages like this one.
+def envelope_flag(row: FloatArray, manifest: ModelManifest) -> NotCounted:
+    """Return whether the model was made for passages like this one.
+
+    By what ordinary roads and ordinary driving look like, if the bundle says; otherwise by the box of its training.
 
     Args:
         row: Features in the order of the model's table. (columns,)
-        envelope: Where the model was trained.
+        manifest: What the model says about itself.
     """
-    outside = (row < np.asarray(envelope.lower)) | (row > np.asarray(envelope.upper))
-    if int(outside.sum()) > envelope.outside_allowed_count:
-        return NotCounted.OUT_OF_ENVELOPE
-    return NotCounted.NONE
+    rows, ordinary, names = row[None, :], manifest.ordinary, manifest.feature_names
+    if ordinary is None:
+        outside = outside_box(rows, manifest.envelope)
+    else:
+        outside = is_strange_road(rows, ordinary, names) | is_strange_driving(rows, ordinary, names)
+    return NotCounted.OUT_OF_ENVELOPE if outside[0] else NotCounted.NONE
 
 
 def estimate_flag(mu: float, manifest: ModelManifest) -> NotCounted:

@@ -13,13 +13,16 @@ from roadgrip.bundle import (
     Envelope,
     GoldenVectors,
     ModelManifest,
+    OrdinaryDriving,
     bundle_id_of,
     check_files,
     manifest_from_json,
     manifest_to_json,
 )
+from roadgrip.envelope import DrivingEnvelope
 from roadgrip.errors import BundleError, FeatureTableError
 from roadgrip.features import PAPER_TABLE, FeatureTable
+from tests.bundles import make_ordinary
 
 FILES = {"model.onnx": b"a model", "error.onnx": b"a model for its error"}
 SHA256 = {name: hashlib.sha256(content).hexdigest() for name, content in FILES.items()}
@@ -38,6 +41,7 @@ def model(table: FeatureTable = PAPER_TABLE) -> ModelManifest:
         envelope=Envelope(lower=(0.0,) * width, upper=(1.0,) * width, outside_allowed_count=3),
         golden=GoldenVectors(rows=((0.5,) * width, (0.1,) * width), mu=(0.3, 0.4), expected_error_ratio=(0.05, 0.06)),
         conformal=CONFORMAL,
+        ordinary=make_ordinary(),
     )
 
 
@@ -56,6 +60,11 @@ def manifest() -> BundleManifest:
     return bundle_of(model())
 
 
+def with_driving(**change) -> OrdinaryDriving:
+    ordinary = make_ordinary()
+    return dataclasses.replace(ordinary, driving=dataclasses.replace(ordinary.driving, **change))
+
+
 def changed(**change) -> BundleManifest:
     return bundle_of(dataclasses.replace(model(), **change))
 
@@ -67,6 +76,11 @@ def test_a_manifest_survives_the_way_through_json():
 def test_a_model_without_an_expected_error_survives_too():
     golden = dataclasses.replace(model().golden, expected_error_ratio=None)
     plain = changed(error_model_file=None, conformal=None, golden=golden)
+    assert manifest_from_json(manifest_to_json(plain)) == plain
+
+
+def test_a_model_that_leaves_it_to_the_envelope_survives_too():
+    plain = changed(ordinary=None)
     assert manifest_from_json(manifest_to_json(plain)) == plain
 
 
@@ -107,6 +121,10 @@ def test_a_bundle_for_a_table_not_spoken_here_is_refused():
         ({"error_model_file": "other.onnx"}, "no digest"),
         ({"error_model_file": "model.onnx"}, "share a file"),
         ({"envelope": Envelope((0.0,) * 77, (1.0,) * WIDTH, 3)}, "width"),
+        ({"ordinary": dataclasses.replace(make_ordinary(), road_columns=("no_such_m",))}, "ordinary driving"),
+        ({"ordinary": dataclasses.replace(make_ordinary(), road_columns=())}, "ordinary driving"),
+        ({"ordinary": with_driving(columns=("no_such_m", "steer_mean_rad"))}, "ordinary driving"),
+        ({"ordinary": with_driving(limit_level=float("nan"))}, "ordinary driving"),
         ({"golden": GoldenVectors(((0.5,) * WIDTH,), (0.3, 0.4), (0.1,))}, "golden"),
         ({"golden": GoldenVectors(((0.5,) * WIDTH,), (0.3,), (0.1, 0.2))}, "golden"),
         ({"golden": GoldenVectors(((0.5,) * 77,), (0.3,), (0.1,))}, "golden"),
@@ -184,9 +202,28 @@ def test_a_mangled_manifest_is_refused_and_never_crashes(key, value):
 def test_a_mangled_model_is_refused_and_never_crashes(key, value):
     raw = json.loads(manifest_to_json(manifest()))
     raw["models"][0][key] = value
-    with pytest.raises((BundleError, FeatureTableError)):
-        manifest_from_json(json.dumps(raw))
+    if (key, value) == ("ordinary", None):
+        assert manifest_from_json(json.dumps(raw)) == changed(ordinary=None)
+    else:
+        with pytest.raises((BundleError, FeatureTableError)):
+            manifest_from_json(json.dumps(raw))
     del raw["models"][0][key]
+    with pytest.raises(BundleError, match=key):
+        manifest_from_json(json.dumps(raw))
+
+
+@pytest.mark.parametrize("key", [f.name for f in dataclasses.fields(DrivingEnvelope)])
+@pytest.mark.parametrize("value", MANGLED)
+def test_mangled_ordinary_driving_is_refused_and_never_crashes(key, value):
+    raw = json.loads(manifest_to_json(manifest()))
+    driving = raw["models"][0]["ordinary"]["driving"]
+    driving[key] = value
+    if (key, value) in [("cut_ratio", 7), ("limit_level", 7)]:
+        manifest_from_json(json.dumps(raw))
+    else:
+        with pytest.raises(BundleError):
+            manifest_from_json(json.dumps(raw))
+    del driving[key]
     with pytest.raises(BundleError, match=key):
         manifest_from_json(json.dumps(raw))
 

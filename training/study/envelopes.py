@@ -16,9 +16,10 @@ import numpy as np
 from sklearn.mixture import GaussianMixture
 from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
-from roadgrip.bundle import Envelope
-from roadgrip.units import BoolArray, FloatArray
-from rsu_app.domain.envelope import DrivingEnvelope, is_strange, prepared, scaled_ratio, strangeness_level
+from roadgrip.bundle import Envelope, OrdinaryDriving
+from roadgrip.envelope import DrivingEnvelope
+from roadgrip.units import FloatArray
+from rsu_app.domain.envelope import prepared, scaled_ratio, strangeness_level
 from training.bundling import ROUNDING_RATIO
 
 KINDS_COUNT = 4
@@ -63,39 +64,9 @@ class Ordinary:
         return Ordinary(self.known_rows[:, places], self.unseen_rows[:, places], self.unseen_road, tuple(names))
 
 
-@dataclass(frozen=True, slots=True)
-class WholeEnvelope:
-    """Both questions.
-
-    Attributes:
-        road_columns: Names of the features of the map.
-        road: The box that nearly all roads lie in.
-        driving: What ordinary driving looks like.
-    """
-
-    road_columns: tuple[str, ...]
-    road: Envelope
-    driving: DrivingEnvelope
-
-    def strange_road(self, rows: FloatArray, feature_names: Sequence[str]) -> BoolArray:
-        """Return which rows are of no road like those learned from. (n,)"""
-        places = [tuple(feature_names).index(name) for name in self.road_columns]
-        return outside_box(rows[:, places], self.road)
-
-    def strange_driving(self, rows: FloatArray, feature_names: Sequence[str]) -> BoolArray:
-        """Return which rows are of no ordinary driving. (n,)"""
-        return is_strange(rows, prepared(self.driving, feature_names))
-
-
-def outside_box(rows: FloatArray, box: Envelope) -> BoolArray:
-    """Return which rows leave a box in more features than it allows: `envelope_flag` for many rows. (n,)"""
-    outside = (rows < np.asarray(box.lower)) | (rows > np.asarray(box.upper))
-    return np.asarray(outside.sum(axis=1) > box.outside_allowed_count, dtype=np.bool_)
-
-
 def learn_whole_envelope(
     drives: Ordinary, *, road_columns: Sequence[str], driving_columns: Sequence[str], seed: int
-) -> WholeEnvelope:
+) -> OrdinaryDriving:
     """Return the envelope that ordinary drives span.
 
     Args:
@@ -105,7 +76,7 @@ def learn_whole_envelope(
         seed: Chooses rows where there are too many, deals folds, starts the search for kinds.
     """
     roads = drives.columns(road_columns)
-    return WholeEnvelope(
+    return OrdinaryDriving(
         road_columns=tuple(road_columns),
         road=learn_road_box(np.unique(roads.known_rows, axis=0), np.unique(roads.unseen_rows, axis=0), seed=seed),
         driving=learn_driving_envelope(drives.columns(driving_columns), seed=seed),

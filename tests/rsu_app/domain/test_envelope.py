@@ -8,7 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rsu_app.domain.envelope import DrivingEnvelope, is_strange, prepared, strangeness_level
+from roadgrip.envelope import DrivingEnvelope
+from rsu_app.domain.envelope import is_strange, is_strange_driving, is_strange_road, prepared, strangeness_level
+from tests.bundles import make_ordinary
 
 NAMES = ("other", "a", "b")
 ONE = DrivingEnvelope(
@@ -92,3 +94,18 @@ def test_what_is_beyond_measure_is_strange_and_finite():
 def test_a_record_that_contradicts_itself_is_refused(change: dict[str, Any]):
     with pytest.raises(ValueError, match=r"."):
         replace(ONE, **change)
+
+
+def test_many_envelopes_take_turns_and_none_takes_the_place_of_another():
+    made = [replace(make_ordinary(), driving=replace(TWO, limit_level=float(level))) for level in range(40)]
+    rows = row(a=1.0, b=2.0)
+    level = strangeness_level(rows, prepared(TWO, NAMES))[0]
+    for _ in range(2):
+        strange = [bool(is_strange_driving(rows, one, NAMES)[0]) for one in made]
+        assert strange == [level > one.driving.limit_level for one in made]
+
+
+def test_a_road_is_judged_by_its_own_features():
+    names = ("speed_mean_mps", "section_length_m")
+    rows = np.array([[900.0, 300.0], [15.0, 700.0]])
+    assert is_strange_road(rows, make_ordinary(), names).tolist() == [False, True]

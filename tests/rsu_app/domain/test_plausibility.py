@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -10,7 +12,7 @@ from roadgrip.features import NEWEST_TABLE, PAPER_TABLE
 from roadgrip.reasons import Reason
 from roadgrip.records import NotCounted
 from rsu_app.domain.plausibility import age_flag, envelope_flag, estimate_flag, implausibility
-from tests.bundles import make_model
+from tests.bundles import make_model, make_ordinary
 from tests.rsu_app.fakes import make_passage, make_section
 
 SECTION = make_section()
@@ -157,11 +159,26 @@ def test_what_is_no_passage_is_malformed(changes):
 def test_a_passage_leaves_the_envelope_with_one_feature_more_than_allowed():
     width = len(NEWEST_TABLE)
     envelope = Envelope(lower=(0.0,) * width, upper=(1.0,) * width, outside_allowed_count=2)
+    model = make_model(envelope=envelope)
     row = np.full(width, 0.5)
     row[:2] = (-1.0, 2.0)
-    assert envelope_flag(row, envelope) == NotCounted.NONE
+    assert envelope_flag(row, model) == NotCounted.NONE
     row[5] = 1.5
-    assert envelope_flag(row, envelope) == NotCounted.OUT_OF_ENVELOPE
+    assert envelope_flag(row, model) == NotCounted.OUT_OF_ENVELOPE
+
+
+def test_what_ordinary_drives_look_like_takes_the_place_of_the_box():
+    """Speed and steering hang together; the box neither sees that nor is asked."""
+    nowhere = Envelope(lower=(9.0,) * len(NEWEST_TABLE), upper=(9.0,) * len(NEWEST_TABLE), outside_allowed_count=0)
+    model = replace(make_model(envelope=nowhere), ordinary=make_ordinary())
+    row = np.zeros(len(NEWEST_TABLE))
+    speed, steer, length = map(NEWEST_TABLE.index, ("speed_mean_mps", "steer_mean_rad", "section_length_m"))
+    row[[speed, steer, length]] = (18.0, 0.08, 300.0)
+    assert envelope_flag(row, model) == NotCounted.NONE
+    row[steer] = -0.08
+    assert envelope_flag(row, model) == NotCounted.OUT_OF_ENVELOPE
+    row[[steer, length]] = (0.08, 700.0)
+    assert envelope_flag(row, model) == NotCounted.OUT_OF_ENVELOPE
 
 
 @pytest.mark.parametrize(

@@ -39,7 +39,8 @@ def learned_shrinkage(mu: FloatArray, *, expected_error_ratio: FloatArray, label
         label_mu: What they found. (n,)
     """
     at, truth, answer = np.log(expected_error_ratio), np.log(label_mu), np.log(mu)
-    level = np.linspace(*np.quantile(at, [LEVEL_TAIL_FRAC, 1.0 - LEVEL_TAIL_FRAC]), LEVELS_COUNT)
+    lowest, highest = np.quantile(at, [LEVEL_TAIL_FRAC, 1.0 - LEVEL_TAIL_FRAC]).tolist()
+    level = np.linspace(lowest, highest, LEVELS_COUNT)
     columns = []
     for centre in level.tolist():
         weight = np.exp(-0.5 * ((at - centre) / KERNEL_WIDTH_RATIO) ** 2)

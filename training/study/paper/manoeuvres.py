@@ -9,13 +9,14 @@ import numpy as np
 
 from roadgrip.bundle import Envelope
 from roadgrip.units import BoolArray, FloatArray
+from rsu_app.domain.envelope import is_strange_driving, is_strange_road, outside_box
 from training.accuracy import mape_ratio, rms_mu
 from training.bundling import learn_envelope
 from training.dataset import Runs
 from training.study.chapter import Cell as TableCell
 from training.study.chapter import Chapter, Claim, Result, Table, Verdict, Workbench
 from training.study.distributions import box_of, cloud_of, identity_line, per_cent
-from training.study.envelopes import Ordinary, learn_whole_envelope, outside_box
+from training.study.envelopes import Ordinary, learn_whole_envelope
 from training.study.feature_selection import selected_features
 from training.study.folds import PAPER_SET, Split, paper_split
 from training.study.known_roads import global_estimates
@@ -164,8 +165,8 @@ def _flags(
     asked: Mapping[str, Callable[[FloatArray], BoolArray]] = {
         BOX_PAPER: _in_box(box_paper),
         BOX_MORE: _in_box(box_more),
-        ROAD: lambda rows: whole.strange_road(rows, PAPER_FEATURES),
-        DRIVING: lambda rows: whole.strange_driving(rows, PAPER_FEATURES),
+        ROAD: lambda rows: is_strange_road(rows, whole, PAPER_FEATURES),
+        DRIVING: lambda rows: is_strange_driving(rows, whole, PAPER_FEATURES),
     }
     flags = {name: {which: ask(rows) for which, rows in drives.items()} for name, ask in asked.items()}
     flags[EITHER] = {which: flags[ROAD][which] | flags[DRIVING][which] for which in drives}
