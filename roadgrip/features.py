@@ -204,7 +204,10 @@ GRIP_SHAPES: Mapping[str, tuple[float, ...]] = {
 }
 """Falls of the log-likelihood of friction whose distances are told, by what the likelihood goes by: all channels
 together, the steering angle, the lateral velocity, the wheel speeds. One, two and four deviations of a Gaussian."""
-GRIP_DEMAND_LEVELS_FRAC = (0.5, 0.8, 0.95, 1.0)
+GRIP_USE_LEVELS_FRAC = (0.5, 0.8, 0.95, 1.0)
+"""Quantiles of the demand that are told as shares of the best friction."""
+GRIP_DEMAND_LEVELS_FRAC = (0.95, 1.0)
+"""Quantiles of the demand that are told as they are."""
 PROFILE_FRICTIONS_MU = (0.12, 0.15, 0.18, 0.22, 0.27, 0.33, 0.40, 0.47, 0.55, 0.65, 0.80, 1.00)
 """At which frictions the likelihood of all channels together is told, so that profiles of many vehicles add up."""
 PROFILE_FLOOR = -40.0
@@ -218,7 +221,11 @@ _WIDEST = 5.0
 def _grip_features() -> tuple[Feature, ...]:
     features = []
     for name, drops in GRIP_SHAPES.items():
-        features.append(Feature(f"grip_{name}_best_mu", "mu", 0.0, 2.0))
+        if name == "all":
+            features.append(Feature("grip_all_best_mu", "mu", 0.05, 2.0))
+        else:
+            # In natural logarithms, from the best friction of all channels together: what contradicts what.
+            features.append(Feature(f"grip_{name}_shift_ratio", "ratio", -_WIDEST, _WIDEST))
         for side in ("below", "above"):
             features += [
                 Feature(f"grip_{name}_{side}_{(2.0 * drop) ** 0.5:.0f}sd_ratio", "ratio", 0.0, _WIDEST)
@@ -228,6 +235,7 @@ def _grip_features() -> tuple[Feature, ...]:
     features += [
         Feature(f"grip_profile_{100 * mu:.0f}_ratio", "ratio", PROFILE_FLOOR, 0.0) for mu in PROFILE_FRICTIONS_MU
     ]
+    features += [Feature(f"demand_q{100 * level:.0f}_use_ratio", "ratio", 0.0, 100.0) for level in GRIP_USE_LEVELS_FRAC]
     features += [Feature(f"demand_q{100 * level:.0f}_mu", "mu", 0.0, 10.0) for level in GRIP_DEMAND_LEVELS_FRAC]
     features += [
         Feature("force_y_max_mps2", "mps2", 0.0, 40.0),

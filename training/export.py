@@ -21,7 +21,7 @@ from roadgrip.errors import BundleError
 from roadgrip.features import NEWEST_TABLE, FeatureTable
 from roadgrip.units import FloatArray
 from training.fit_parameters import Target
-from training.regressor import estimate_mu, target_of
+from training.regressor import base_column_of, estimate_mu, target_of
 
 PARITY_TOLERANCE_MU = 1e-5
 PARITY_FEWEST_ROWS = 1000
@@ -54,7 +54,7 @@ def to_onnx(
         booster, name="roadgrip", initial_types=[(INPUT_NAME, FloatTensorType([None, width]))], target_opset=OPSET
     )
     if target_of(booster) is Target.LOG_MU:
-        _append_exponential(model)
+        _append_exponential(model, base_column=base_column_of(booster))
     if column_names is not None:
         _prepend_choice(model, table.columns(column_names).tolist(), width=len(table))
     if not any(entry.domain in {"", "ai.onnx"} for entry in model.opset_import):
@@ -130,11 +130,22 @@ def onnx_estimate_mu(model: bytes, rows: FloatArray) -> FloatArray:
     return np.asarray(answers, dtype=np.float64).reshape(-1)
 
 
-def _append_exponential(model: onnx.ModelProto) -> None:
-    """Put exp behind the only output."""
+def _append_exponential(model: onnx.ModelProto, *, base_column: int | None) -> None:
+    """Put exp behind the only output, and the product with a column of the trees' input if there is one."""
     graph = model.graph
     (output,) = graph.output
-    graph.node.append(helper.make_node("Exp", [output.name], [OUTPUT_NAME], name="exponential"))
+    if base_column is None:
+        graph.node.append(helper.make_node("Exp", [output.name], [OUTPUT_NAME], name="exponential"))
+    else:
+        (whole,) = graph.input
+        graph.initializer.append(numpy_helper.from_array(np.array([base_column], dtype=np.int64), "base_column"))
+        graph.node.extend(
+            [
+                helper.make_node("Exp", [output.name], ["ratio"], name="exponential"),
+                helper.make_node("Gather", [whole.name, "base_column"], ["base"], name="first_guess", axis=1),
+                helper.make_node("Mul", ["ratio", "base"], [OUTPUT_NAME], name="mended_guess"),
+            ]
+        )
     output.name = OUTPUT_NAME
 
 

@@ -27,6 +27,8 @@ class FitParameters:
         column_share_frac: Share of the features each tree sees.
         seed: Of the split and of the trees.
         target: What the trees add up to.
+        base_column: With a logarithm as target: trees add up to how far the answer lies from this column, a first guess
+            that they mend; None: from nothing.
         bins_count: Into how many values each feature is sorted at most; fewer are faster and coarser.
     """
 
@@ -37,4 +39,5 @@ class FitParameters:
     column_share_frac: float = 0.5
     seed: int = 1
     target: Target = Target.MU
+    base_column: int | None = None
     bins_count: int = 256

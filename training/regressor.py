@@ -23,6 +23,7 @@ ROAD_FOLDS_COUNT = 5
 FEWEST_ROADS = 10
 _FEWEST_RUNS = 50
 _TARGET_ATTRIBUTE = "target"
+_BASE_ATTRIBUTE = "base_column"
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,12 +56,21 @@ def estimate_mu(booster: xgboost.Booster, features: FloatArray, *, threads_count
     """
     rows = xgboost.DMatrix(features.astype(np.float32), nthread=threads_count or None)
     answers = booster.predict(rows).astype(np.float64)
-    return np.exp(answers) if target_of(booster) is Target.LOG_MU else answers
+    if target_of(booster) is Target.MU:
+        return answers
+    base = base_column_of(booster)
+    return np.exp(answers) if base is None else np.exp(answers) * features[:, base]
 
 
 def target_of(booster: xgboost.Booster) -> Target:
     """Return what the trees add up to: friction, or its logarithm. The trees' file carries it along."""
     return Target(booster.attr(_TARGET_ATTRIBUTE) or Target.MU)
+
+
+def base_column_of(booster: xgboost.Booster) -> int | None:
+    """Return the column that what the trees add up to is the logarithm of the ratio to; None without one."""
+    column = booster.attr(_BASE_ATTRIBUTE)
+    return None if column is None else int(column)
 
 
 def grow_trees(
@@ -83,6 +93,9 @@ def grow_trees(
         weight_ratio: What the squared error of each row counts; one each by default. (n,)
         threads_count: At most so many; 0 takes what there is.
         on_round: Called after each boosting round with its number, for a progress bar.
+
+    Raises:
+        ValueError: A base column is given for trees that do not add up to a logarithm.
     """
     settings = {
         "objective": "reg:squarederror",
@@ -96,6 +109,10 @@ def grow_trees(
         "nthread": threads_count,
     }
     label = np.log(label_mu) if parameters.target is Target.LOG_MU else label_mu
+    if parameters.base_column is not None:
+        if parameters.target is not Target.LOG_MU:
+            raise ValueError("only a logarithm is told as a distance from a column")
+        label = label - np.log(features[:, parameters.base_column])
     rows = xgboost.QuantileDMatrix(
         features.astype(np.float32),
         label=label,
@@ -111,6 +128,8 @@ def grow_trees(
     )
     if parameters.target is not Target.MU:
         booster.set_attr(**{_TARGET_ATTRIBUTE: parameters.target.value})
+    if parameters.base_column is not None:
+        booster.set_attr(**{_BASE_ATTRIBUTE: str(parameters.base_column)})
     return booster
 
 

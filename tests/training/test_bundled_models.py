@@ -10,7 +10,7 @@ import pytest
 
 from roadgrip.bundle import BundleManifest, Conformal, manifest_from_json
 from roadgrip.errors import BundleError
-from roadgrip.features import NEWEST_TABLE, PAPER_TABLE, FeatureTable
+from roadgrip.features import FEATURE_NAMES, NEWEST_TABLE, PAPER_TABLE, FeatureTable
 from rsu_app.adapters.inference import load_bundle
 from tests.training.runs import made_up_runs
 from training.bundling import TableModel, write_models
@@ -22,6 +22,7 @@ from training.regressor import estimate_mu, grow_trees
 CONFORMAL = Conformal(coverage_frac=0.9, quantile=1.8, doubtful_above_ratio=0.3)
 LOG = FitParameters(trees_count=30, target=Target.LOG_MU)
 PLAIN = FitParameters(trees_count=30)
+MENDING = replace(LOG, base_column=FEATURE_NAMES.index("grip_all_best_mu"))
 
 
 def usable(runs: Runs) -> Runs:
@@ -62,7 +63,7 @@ def rows_for(runs: Runs) -> np.ndarray:
     return parity_rows(runs.features, rng=np.random.default_rng(1), table=runs.table)
 
 
-@pytest.mark.parametrize("parameters", [LOG, PLAIN], ids=["logarithm", "friction"])
+@pytest.mark.parametrize("parameters", [LOG, PLAIN, MENDING], ids=["logarithm", "friction", "mended guess"])
 def test_the_export_answers_in_friction_whatever_the_trees_add_up_to(parameters: FitParameters) -> None:
     trees = grown(RUNS, parameters)
     model = to_onnx(trees)

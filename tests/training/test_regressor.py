@@ -14,6 +14,7 @@ from training.dataset import DatasetError, Runs
 from training.export import check_parity, onnx_estimate_mu, parity_rows, to_onnx
 from training.fit_parameters import FitParameters, Target
 from training.regressor import (
+    base_column_of,
     estimate_mu,
     fit,
     grow_trees,
@@ -146,6 +147,24 @@ def test_trees_of_the_logarithm_answer_in_friction_and_say_so_in_their_file(tmp_
     read = xgboost.Booster(model_file=tmp_path / "trees.ubj")
     assert target_of(read) is Target.LOG_MU
     assert np.array_equal(estimate_mu(read, features), estimate_mu(booster, features))
+
+
+def test_trees_that_mend_a_first_guess_start_from_it_and_say_so_in_their_file(tmp_path: Path) -> None:
+    runs = made_up_runs(600)
+    features, label_mu = runs.features[runs.usable].copy(), runs.labels["label_mu"][runs.usable]
+    features[:, 3] = 1.25 * label_mu
+    mending = replace(QUICK, trees_count=1, target=Target.LOG_MU, base_column=3)
+    booster = grow_trees(features, label_mu, mending)
+    assert mape_ratio(label_mu, estimate_mu(booster, features)) < 0.01
+    booster.save_model(tmp_path / "trees.ubj")
+    read = xgboost.Booster(model_file=tmp_path / "trees.ubj")
+    assert base_column_of(read) == 3
+    assert np.array_equal(estimate_mu(read, features), estimate_mu(booster, features))
+
+
+def test_only_trees_of_the_logarithm_mend_a_first_guess() -> None:
+    with pytest.raises(ValueError, match="only a logarithm"):
+        grow_trees(np.ones((9, 2)), np.ones(9), replace(QUICK, base_column=1))
 
 
 def test_rows_of_no_weight_are_not_learned_from() -> None:

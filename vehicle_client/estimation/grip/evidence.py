@@ -13,7 +13,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from roadgrip.features import GRIP_DEMAND_LEVELS_FRAC, GRIP_SHAPES, MISFIT_LIMIT, PROFILE_FLOOR, PROFILE_FRICTIONS_MU
+from roadgrip.features import (
+    GRIP_DEMAND_LEVELS_FRAC,
+    GRIP_SHAPES,
+    GRIP_USE_LEVELS_FRAC,
+    MISFIT_LIMIT,
+    PROFILE_FLOOR,
+    PROFILE_FRICTIONS_MU,
+)
 from vehicle_client.estimation.grip.channels import channels
 from vehicle_client.estimation.grip.forces import axle_forces
 from vehicle_client.estimation.grip.likelihood import log_likelihood
@@ -77,11 +84,16 @@ def grip_evidence(motion: Motion, *, handling: Handling, geometry: VehicleGeomet
     told = {name: np.concatenate([coarse[name], fine[name]])[order] for name in coarse}
     samples = max(1.0, float(motion.counted_weight.sum()))
     peaks = {name: _peak(log_mu, told[name]) for name in GRIP_SHAPES}
-    shapes = [_shape(peaks[name], samples, drops) for name, drops in GRIP_SHAPES.items()]
     everything = peaks["all"]
+    best_mu = float(np.exp(everything.best_log_mu))
+    places = [best_mu, *(peaks[name].best_log_mu - everything.best_log_mu for name in GRIP_SHAPES if name != "all")]
+    shapes = [
+        np.array([place, *_shape(peaks[name], samples, drops)])
+        for place, (name, drops) in zip(places, GRIP_SHAPES.items(), strict=True)
+    ]
     profile = -(np.interp(np.log(PROFILE_FRICTIONS_MU), everything.log_mu, everything.deviation_ratio) ** 2)
     return np.concatenate(
-        [*shapes, np.maximum(profile, PROFILE_FLOOR), _demand(motion, found.demand_mu[motion.inside])]
+        [*shapes, np.maximum(profile, PROFILE_FLOOR), _demand(motion, found.demand_mu[motion.inside], best_mu=best_mu)]
     )
 
 
@@ -100,6 +112,11 @@ class _Peak:
     deviation_ratio: FloatArray
     top: int
     height_ratio: float
+
+    @property
+    def best_log_mu(self) -> float:
+        """Where the top is."""
+        return float(self.log_mu[self.top])
 
 
 def _top(log_mu: FloatArray, told: FloatArray) -> int:
@@ -128,16 +145,14 @@ def _peak(log_mu: FloatArray, told: FloatArray) -> _Peak:
 
 
 def _shape(peak: _Peak, samples: float, drops: tuple[float, ...]) -> FloatArray:
-    """Return best friction, how far below and above it the likelihood falls by each of the drops, and misfit a sample.
+    """Return how far below and above its top the likelihood falls by each of the drops, and its misfit a sample.
 
-    Where it never falls that far, the distance is to the end of the grid. (2 drops + 2,)
+    Where it never falls that far, the distance is to the end of the grid. (2 drops + 1,)
     """
     top, log_mu, deviation = peak.top, peak.log_mu, peak.deviation_ratio
     below = [_distance(log_mu[top::-1], -deviation[top::-1], drop) for drop in drops]
     above = [_distance(log_mu[top:], deviation[top:], drop) for drop in drops]
-    return np.array(
-        [float(np.exp(log_mu[top])), *below, *above, min(max(-peak.height_ratio / samples, 0.0), MISFIT_LIMIT)]
-    )
+    return np.array([*below, *above, min(max(-peak.height_ratio / samples, 0.0), MISFIT_LIMIT)])
 
 
 def _distance(log_mu: FloatArray, deviation: FloatArray, drop: float) -> float:
@@ -151,11 +166,16 @@ def _distance(log_mu: FloatArray, deviation: FloatArray, drop: float) -> float:
     return abs(float(log_mu[place - 1] + share * (log_mu[place] - log_mu[place - 1]) - log_mu[0]))
 
 
-def _demand(motion: Motion, demand_mu: FloatArray) -> FloatArray:
-    """Return how much was asked of the road: quantiles of the demand, extremes of force and turning. (9,)"""
+def _demand(motion: Motion, demand_mu: FloatArray, *, best_mu: float) -> FloatArray:
+    """Return how much was asked of the road: quantiles of the demand, extremes of force and turning. (11,)"""
     inside = motion.inside
     across, along = np.abs(motion.force_y_mps2[inside]), motion.force_x_mps2[inside]
     turning = np.abs(motion.yaw_rate_radps[inside])
     ordered = np.minimum(np.sort(demand_mu), _DEMAND_LIMIT_MU)
-    at = [ordered[round(level * (len(ordered) - 1))] for level in GRIP_DEMAND_LEVELS_FRAC]
-    return np.array([*at, across.max(), across.mean(), along.min(), along.max(), turning.max()])
+
+    def at(level_frac: float) -> float:
+        return float(ordered[round(level_frac * (len(ordered) - 1))])
+
+    use = [at(level) / best_mu for level in GRIP_USE_LEVELS_FRAC]
+    demand = [at(level) for level in GRIP_DEMAND_LEVELS_FRAC]
+    return np.array([*use, *demand, across.max(), across.mean(), along.min(), along.max(), turning.max()])

@@ -102,7 +102,7 @@ def test_one_sample_is_enough_to_answer(motion):
     told = told_of(replace(motion, **one))
     assert not told_within(told)
     assert told["grip_drift_misfit_ratio"] == 0.0
-    assert told["demand_q50_mu"] == told["demand_q100_mu"] > 0.0
+    assert told["demand_q50_use_ratio"] == told["demand_q100_use_ratio"] > 0.0
 
 
 def test_samples_outside_the_section_change_nothing_that_was_asked(motion):

@@ -31,9 +31,18 @@ def mirrored_motion(motion: Motion) -> Motion:
 
 
 def told_of(motion: Motion, *, handling: Handling = HANDLING, noise: GripNoise = AUTOMOTIVE_NOISE) -> dict[str, float]:
-    """Return the grip features of a motion by name."""
+    """Return the grip features of a motion by name, and each channel's own best friction."""
     values = grip_evidence(motion, handling=handling, geometry=XC90, noise=noise)
-    return dict(zip(NAMES, values.tolist(), strict=True))
+    return with_best_of_channels(dict(zip(NAMES, values.tolist(), strict=True)))
+
+
+def with_best_of_channels(told: dict[str, float]) -> dict[str, float]:
+    """Return the features with `grip_CHANNEL_best_mu` for the channels that tell only how far theirs is from the best."""
+    best = {
+        f"grip_{channel}_best_mu": told["grip_all_best_mu"] * float(np.exp(told[f"grip_{channel}_shift_ratio"]))
+        for channel in ("steering", "drift", "wheels")
+    }
+    return told | best
 
 
 def stiffness_n(slip: FloatArray, *, load_n: FloatArray, friction_mu: FloatArray, tyre: TyreCurve) -> FloatArray:
