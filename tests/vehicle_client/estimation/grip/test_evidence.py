@@ -41,7 +41,7 @@ def told_within(told):
     return [
         name
         for name, value in told.items()
-        if not (np.isfinite(value) and FEATURES[name].minimum <= value <= FEATURES[name].maximum)
+        if name in FEATURES and not (np.isfinite(value) and FEATURES[name].minimum <= value <= FEATURES[name].maximum)
     ]
 
 
@@ -111,8 +111,11 @@ def test_samples_outside_the_section_change_nothing_that_was_asked(motion):
     here = replace(motion, inside=inside, counted_weight=np.where(inside, 0.5, 0.0))
     wild = replace(here, force_x_mps2=np.where(inside, here.force_x_mps2, 3.0))
     before, after = told_of(here), told_of(wild)
-    for name in NAMES:
-        if name.startswith(("demand", "force", "yaw_rate", "grip_steering", "grip_wheels")):
+    for name in before:
+        # What is told as a share of the best of all channels goes with the drift, whose slow part reaches out.
+        of_the_best = name.endswith(("_shift_ratio", "_use_ratio"))
+        asked = name.startswith(("demand", "force", "yaw_rate", "grip_steering", "grip_wheels"))
+        if asked and not of_the_best:
             assert after[name] == pytest.approx(before[name], rel=1e-9), name
 
 

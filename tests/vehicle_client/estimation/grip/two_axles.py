@@ -37,7 +37,7 @@ def told_of(motion: Motion, *, handling: Handling = HANDLING, noise: GripNoise =
 
 
 def with_best_of_channels(told: dict[str, float]) -> dict[str, float]:
-    """Return the features with `grip_CHANNEL_best_mu` for the channels that tell only how far theirs is from the best."""
+    """Return the features with `grip_CHANNEL_best_mu` for channels that tell only how far theirs is from the best."""
     best = {
         f"grip_{channel}_best_mu": told["grip_all_best_mu"] * float(np.exp(told[f"grip_{channel}_shift_ratio"]))
         for channel in ("steering", "drift", "wheels")
