@@ -24,7 +24,7 @@ from roadgrip.section import RoadSection
 from roadgrip.units import FloatArray
 from training.dataset import COMPLETED, LABEL_COLUMNS, Runs, joined
 from training.designs import BASE_FRICTIONS_MU
-from training.passage_rows import DECLARED_NOISE, labels_of
+from training.passage_rows import labels_of
 from training.random_roads import random_section
 from training.scenarios import WITH_GNSS_FRAC, Run, Terms, chance, surveyed_map
 from vehicle_client.estimation.grip.memory import AUTOMOTIVE_STDS, IDEAL_STDS, CarMemory, new_memory
@@ -34,7 +34,7 @@ from vehicle_client.estimation.vehicle_geometry import XC90 as XC90_GEOMETRY
 from vehicle_client.estimation.vehicle_geometry import VehicleGeometry
 from vehicle_client.pipeline import Summarised, grip_features, memory_after, summarise_passage
 from vehicle_client.simulator.drive import Drive
-from vehicle_client.simulator.plan import PassagePlan, SensorGrade, draw_plan
+from vehicle_client.simulator.plan import DECLARED_NOISE, PassagePlan, SensorGrade, draw_plan
 from vehicle_client.simulator.run import each_passage
 from vehicle_client.simulator.variation import draw_vehicle, geometry_of, handling_of
 from vehicle_client.simulator.vehicle import XC90, Vehicle

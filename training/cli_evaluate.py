@@ -186,7 +186,12 @@ def _write(
             if not isinstance(drive, tuple) and drive.name == passage.name
         )
         outcome = summarise_passage(
-            drive.trace, section, vehicle=drive.vehicle.geometry, parameters=drive.vehicle.parameters
+            drive.trace,
+            section,
+            vehicle=drive.vehicle.geometry,
+            parameters=drive.vehicle.parameters,
+            handling=drive.vehicle.handling,
+            noise=drive.vehicle.noise,
         )
         if isinstance(outcome, Summarised):
             shown = ShownPassage(passage.name, why, drive.trace, section, outcome)

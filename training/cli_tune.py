@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -137,7 +137,7 @@ def tune_observer(  # noqa: PLR0917 - typer reads options by name
     kept = tuning.found.parameters if accept_worse else tuning.kept
     if out is not None:
         out.parent.mkdir(parents=True, exist_ok=True)
-        profile = VehicleProfile(name=start.name, geometry=start.geometry, parameters=kept)
+        profile = replace(start, parameters=kept)
         out.write_text(toml_of_profile(profile), encoding="utf-8")
     if plot is not None:
         from training.tuning_picture import draw_tuning

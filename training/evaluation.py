@@ -148,7 +148,12 @@ def driven_passage(drive: RecordedDrive, sections: Sequence[RoadSection]) -> Dri
     refused: list[tuple[RoadSection, Rejected]] = []
     for section in chosen:
         outcome = summarise_passage(
-            drive.trace, section, vehicle=drive.vehicle.geometry, parameters=drive.vehicle.parameters
+            drive.trace,
+            section,
+            vehicle=drive.vehicle.geometry,
+            parameters=drive.vehicle.parameters,
+            handling=drive.vehicle.handling,
+            noise=drive.vehicle.noise,
         )
         if isinstance(outcome, Summarised):
             return DrivenPassage(

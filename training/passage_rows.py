@@ -15,17 +15,13 @@ from roadgrip.units import SAMPLE_S, BoolArray, FloatArray
 from training.dataset import COMPLETED, LABEL_COLUMNS, Runs, joined
 from training.scenarios import Design, Run, Scenario, surveyed_map
 from training.schedule import Shard, inside_quota, runs_of
-from vehicle_client.estimation.grip.noise import AUTOMOTIVE_NOISE, IDEAL_NOISE
 from vehicle_client.pipeline import summarise_passage
 from vehicle_client.simulator.drive import Drive
-from vehicle_client.simulator.plan import SensorGrade
+from vehicle_client.simulator.plan import DECLARED_NOISE
 from vehicle_client.simulator.run import each_passage
 
 BATCH_RUNS_COUNT = 32
 """Drives that are summarised together; their full histories are in memory at once, about 2 MB each."""
-
-DECLARED_NOISE = {SensorGrade.AUTOMOTIVE: AUTOMOTIVE_NOISE, SensorGrade.IDEAL: IDEAL_NOISE}
-"""What a vehicle's maker says of its sensors."""
 
 WatchDrives = Callable[[Sequence[Run], Sequence[Drive]], None]
 

@@ -7,6 +7,7 @@ import contextlib
 import json
 import secrets
 import tempfile
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -23,7 +24,7 @@ from vehicle_client.cli_options import (
     Unit,
     road_of,
 )
-from vehicle_client.simulator.plan import SensorGrade
+from vehicle_client.simulator.plan import DECLARED_NOISE, SensorGrade
 
 if TYPE_CHECKING:
     from vehicle_client.shell.fleet import FleetPlan
@@ -120,7 +121,7 @@ async def _run_fleet(plan: FleetPlan, address: UnitAddress, keys: Keys, spool: P
                     open_uplink=open_uplink,
                     open_codec=keys.codecs_for(plan.section.section_id, speedup_ratio=plan.speedup_ratio),
                     simulate=simulator(),
-                    summarise=summarise_passage,
+                    summarise=partial(summarise_passage, noise=DECLARED_NOISE[plan.grade]),
                 ),
                 spool_folder=folder,
                 watch=progress.watch,

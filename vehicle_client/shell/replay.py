@@ -69,7 +69,14 @@ def summarise_recording(trace: Trace, section: RoadSection, *, vehicle: VehicleP
     Raises:
         TraceError: The recording's arrays do not fit each other.
     """
-    made = summarise_passage(trace, section, vehicle=vehicle.geometry, parameters=vehicle.parameters)
+    made = summarise_passage(
+        trace,
+        section,
+        vehicle=vehicle.geometry,
+        parameters=vehicle.parameters,
+        handling=vehicle.handling,
+        noise=vehicle.noise,
+    )
     return Replay(made, ended_s=float(trace.time_s[-1]), section=section)
 
 

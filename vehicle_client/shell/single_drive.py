@@ -18,6 +18,7 @@ from vehicle_client.shell.replay import made_to_json, refusal_text
 from vehicle_client.shell.sources import write_trace
 from vehicle_client.simulator.drive import DriveOutcome
 from vehicle_client.simulator.plan import (
+    DECLARED_NOISE,
     REFERENCE_PRESSURE_PA,
     DriverKind,
     FrictionProfile,
@@ -186,7 +187,7 @@ def drive_once(section: RoadSection, order: DriveOrder) -> SingleDrive:
         drive = simulate_passage(section, plan_of(section, order))
     except ValueError as error:
         raise ConfigurationError(str(error)) from error
-    return SingleDrive(drive, summarise_passage(drive.trace, section))
+    return SingleDrive(drive, summarise_passage(drive.trace, section, noise=DECLARED_NOISE[order.grade]))
 
 
 def outcome_text(driven: SingleDrive) -> str:

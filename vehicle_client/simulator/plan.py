@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import TYPE_CHECKING, NamedTuple
 
+from vehicle_client.estimation.grip.noise import AUTOMOTIVE_NOISE, IDEAL_NOISE
 from vehicle_client.simulator.vehicle import XC90, Vehicle
 
 if TYPE_CHECKING:
@@ -35,6 +36,10 @@ class SensorGrade(StrEnum):
     """Exact sensors on a real road surface: the paper's setting."""
     AUTOMOTIVE = "automotive"
     """What a production car carries."""
+
+
+DECLARED_NOISE = {SensorGrade.AUTOMOTIVE: AUTOMOTIVE_NOISE, SensorGrade.IDEAL: IDEAL_NOISE}
+"""What a maker tells the car's client of sensors of either grade."""
 
 
 class DriverKind(StrEnum):

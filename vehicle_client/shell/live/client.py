@@ -440,7 +440,14 @@ def summarised(recorded: Recorded, section: RoadSection, vehicle: VehicleProfile
     if trace is None:
         return Rejected(Reason.TOO_SHORT, "a sensor has said nothing")
     try:
-        return summarise_passage(trace, section, vehicle=vehicle.geometry, parameters=vehicle.parameters)
+        return summarise_passage(
+            trace,
+            section,
+            vehicle=vehicle.geometry,
+            parameters=vehicle.parameters,
+            handling=vehicle.handling,
+            noise=vehicle.noise,
+        )
     except RoadgripError as error:
         return Rejected(Reason.TOO_MANY_GAPS, str(error))
 
