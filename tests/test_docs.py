@@ -3,8 +3,11 @@
 import json
 import re
 import subprocess
+from fnmatch import fnmatchcase
 
 import pytest
+
+from roadgrip.features import NEWEST_TABLE
 
 LINK = re.compile(r"\]\((?!https?:|mailto:)([^)#\s]*)(?:#([^)\s]+))?\)")
 
@@ -53,3 +56,12 @@ def test_the_card_of_the_default_bundle_tells_its_own_figures(project_root, name
     card = page[page.index("## The default bundle") :]
     assert manifest["bundle_id"] in card
     assert f"{100 * manifest['metrics'][name]:.1f} %" in card
+
+
+def test_every_feature_is_named_in_the_nomenclature_and_nothing_else_is(project_root):
+    page = (project_root / "docs" / "nomenclature.md").read_text(encoding="utf-8")
+    rows = [line for line in page[page.index("## The feature table") :].splitlines() if line.startswith("| `")]
+    named = [name for row in rows for name in re.findall(r"`([a-z0-9_*]+)`", row.split("|")[1])]
+    unnamed = [name for name in NEWEST_TABLE.names if not any(fnmatchcase(name, pattern) for pattern in named)]
+    stale = [pattern for pattern in named if not any(fnmatchcase(name, pattern) for name in NEWEST_TABLE.names)]
+    assert (unnamed, stale) == ([], [])

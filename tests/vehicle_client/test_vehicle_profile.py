@@ -1,5 +1,6 @@
 """What a vehicle knows of itself, as a file."""
 
+import tomllib
 from dataclasses import fields, replace
 
 import pytest
@@ -128,3 +129,14 @@ def test_zero_is_a_constant_where_nothing_is_divided_by_it():
 
 def test_a_sensor_may_look_backwards():
     assert profile_of_toml(SHORTEST + "imu_yaw_rad = 3.14159\n", place="car.toml").geometry.imu_yaw_rad == 3.14159
+
+
+def test_the_page_shows_every_constant_that_may_be_declared(project_root):
+    page = (project_root / "docs" / "vehicle.md").read_text(encoding="utf-8")
+    section = page[page.index("## What the physical inverse is told") :]
+    text = section[section.index("```toml") + len("```toml") : section.index("```", section.index("```toml") + 3)]
+    shown = tomllib.loads(text)
+    assert set(shown["handling"]) == {field.name for field in fields(Handling)}
+    assert set(shown["handling"]["tyre"]) == {field.name for field in fields(TyreCurve)}
+    profile = profile_of_toml(SHORTEST + text, place="vehicle.md")
+    assert profile.handling != XC90_HANDLING
