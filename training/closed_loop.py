@@ -96,7 +96,7 @@ class Case:
     told_ratio: float = 1.0
 
 
-_TRUTHS = ("follows", "kept_to_road", "passed", "at_least")
+_TRUTHS = ("follows", "kept_to_road", "passed", "at_least", "said_at_least")
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,6 +120,7 @@ class Course:
         said_mu_new: Upper end of the interval that advice rests on; NaN without an interval. (m,)
         said_median_mu: Median of the estimates that counted; NaN without. (m,)
         said_count: Vehicles behind it. (m,)
+        said_at_least: Whether it is marked as hardly more than a lower bound. (m,)
         advised_mps: What the unit advised, before anybody made it wrong. (m,)
     """
 
@@ -139,6 +140,7 @@ class Course:
     said_mu_new: FloatArray
     said_median_mu: FloatArray
     said_count: FloatArray
+    said_at_least: BoolArray
     advised_mps: FloatArray
 
     @property
@@ -281,15 +283,16 @@ class _Circle:
     def course(self) -> Course:
         """Return how it went."""
         names = [field.name for field in fields(Course)]
-        columns = [*np.array(self._vehicles).reshape(-1, 12).T, *np.array(self._said).reshape(-1, 5).T]
+        columns = [*np.array(self._vehicles).reshape(-1, 12).T, *np.array(self._said).reshape(-1, 6).T]
         return Course.of_arrays(dict(zip(names, columns, strict=True)))
 
     def _note(self, now_s: float) -> Advisory:
         advisory = self._unit.advise(now_s=now_s)
         interval: FrictionInterval | None = advisory.interval
-        published = (nan, nan, 0.0)
+        published = (nan, nan, 0.0, 0.0)
         if interval is not None:
-            published = (interval.mu_new, interval.median_mu, float(interval.passages_count))
+            counts = float(interval.passages_count), float(self._unit.at_least)
+            published = (interval.mu_new, interval.median_mu, *counts)
         self._said.append((now_s, *published, advisory.speed_mps))
         return advisory
 

@@ -55,6 +55,8 @@ class LoopUnit:
         self._watch = None if rules.change is None else ChangeWatch(policy=rules.change, window_s=WINDOW_S)
         self._profiles: list[tuple[float, FloatArray]] = []
         self._advised_mps: float | None = None
+        self.at_least = False
+        """Whether what was said last is marked as hardly more than a lower bound."""
 
     def hear(self, judged: Judgement, *, left_at_s: float, profile_ratio: FloatArray) -> bool:
         """Return whether a passage counts; from now on, if it does.
@@ -93,14 +95,13 @@ class LoopUnit:
         if interval is None:
             return None
         refined = self._refined(rows, from_s=from_s)
-        return interval if refined is None else _replaced(interval, refined)
+        self.at_least = refined is not None and refined.at_least
+        return interval if refined is None or self._rules.pooling is None else _replaced(interval, refined)
 
     def _refined(self, rows: WindowRows, *, from_s: float) -> RefinedInterval | None:
-        policy = self._rules.pooling
+        policy = self._rules.pooling or PoolingPolicy()
         if isinstance(policy, PoolingPolicy):
             return refined_interval_of_window(rows, policy=policy)
-        if policy is None:
-            return None
         self._profiles = [told for told in self._profiles if told[0] >= from_s]
         values = np.array([profile_ratio for _, profile_ratio in self._profiles])
         return pooled_profile(values, grid_mu=np.array(PROFILE_FRICTIONS_MU), policy=policy)
@@ -119,14 +120,14 @@ class LoopUnit:
 
 
 def _replaced(interval: FrictionInterval, refined: RefinedInterval) -> FrictionInterval:
-    """Return an interval that stands where a refined one does, for advice that takes it for the published one."""
-    sure_mu = refined.mu_new - (refined.half_width_mu if isfinite(refined.half_width_mu) else 0.0)
-    return replace(
-        interval,
-        mu_low=refined.mu_low,
-        mu_new=refined.mu_new,
-        median_low_mu=MEDIAN_TYRE_RATIO * max(sure_mu, 0.0),
-    )
+    """Return an interval that stands where a refined one does, for advice that takes it for the published one.
+
+    The half-width reaches the farther end, which is the upper one where little is known; so the lower end is taken to
+    be as far away in its logarithm, not in friction. A lower bound is its own lower end.
+    """
+    reach_mu = refined.half_width_mu if isfinite(refined.half_width_mu) else 0.0
+    sure_mu = refined.mu_new**2 / (refined.mu_new + reach_mu)
+    return replace(interval, mu_low=refined.mu_low, mu_new=refined.mu_new, median_low_mu=MEDIAN_TYRE_RATIO * sure_mu)
 
 
 def _since(rows: WindowRows, from_s: float) -> WindowRows:

@@ -96,6 +96,17 @@ def test_bounds_are_estimates_to_the_median_and_bounds_to_the_refined_interval()
     assert refined.median_low_mu == pytest.approx(0.8 * 0.4)
 
 
+def test_what_is_hardly_more_than_a_bound_is_marked_whatever_advice_rests_on():
+    for pooling in (None, PoolingPolicy()):
+        for at_least in (True, False):
+            unit = unit_that_heard([0.4] * 60, at_least=at_least, rules=UnitRules(pooling=pooling))
+            unit.advise(now_s=3599.0)
+            assert unit.at_least is at_least
+    unknowing = unit_that_heard([0.4] * 60, rules=UnitRules(pooling=ProfilePolicy()))
+    unknowing.advise(now_s=3599.0)
+    assert unknowing.at_least
+
+
 def test_likelihoods_place_the_interval_whatever_the_estimates_say():
     wear = np.linspace(0.8, 1.0, 60)
     profiles = [peak(0.3 * one) for one in wear]

@@ -50,6 +50,7 @@ CHAPTER_MODULES: Mapping[Part, tuple[str, ...]] = MappingProxyType(
             "profiles",
             "liars",
             "change",
+            "closed_loop",
         ),
     }
 )

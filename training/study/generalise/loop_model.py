@@ -1,0 +1,276 @@
+"""A model as a unit would have it in its bundle: friction, expected error, envelope, and what they mean together."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roadgrip.bundle import GoldenVectors, ModelManifest, OrdinaryDriving
+from roadgrip.features import NEWEST_TABLE, TABLES, FeatureTable
+from roadgrip.units import BoolArray, FloatArray
+from rsu_app.domain.envelope import is_strange_driving, is_strange_road, outside_box
+from rsu_app.domain.judgement import Judgement, judgement
+from training.bundling import learn_envelope
+from training.conformal import conformal_of
+from training.dataset import Runs, joined
+from training.designs import PAPER_ROADS
+from training.regressor import RowIndices
+from training.study.chapter import Arrays, Workbench
+from training.study.envelopes import Ordinary, learn_whole_envelope
+from training.study.folds import PAPER_SET, fold_numbers, side_by_side
+from training.study.generalise.estimates import RANDOM_ROADS_SET, road_folds
+from training.study.generalise.held_out import EXPECTED_ERROR, LEAST_ERROR_RATIO, LEAST_MU, rows_by_name
+from training.study.paper_features import KINEMATIC_FEATURES
+from training.study.recipes import Estimator, Recipe
+from vehicle_client.simulator.plan import SensorGrade
+
+ANY_SPEED_SET = "any-speed"
+DATA_SETS = (PAPER_SET, RANDOM_ROADS_SET, ANY_SPEED_SET)
+USUAL_SETS = (PAPER_SET, RANDOM_ROADS_SET)
+FOLDS_COUNT = 4
+COVERAGE_FRAC = 0.9
+"""How often the interval of a single estimate shall hold the truth."""
+DOUBTFUL_ABOVE_RATIO = 0.15
+"""An estimate with a larger expected error is taken for a lower bound."""
+
+
+@dataclass(frozen=True, slots=True)
+class LoopModel:
+    """A taught model that judges passages as a unit does.
+
+    Attributes:
+        friction: From the recipe's features to friction.
+        expected_error: From the same features to the relative error to expect.
+        places: Where the recipe's features stand in a row of the newest table. (features,)
+        table_places: Where those of the model's own table stand in it. (columns,)
+        manifest: What its bundle says of it; range, envelope and the meaning of errors are read.
+    """
+
+    friction: Estimator
+    expected_error: Estimator
+    places: RowIndices
+    table_places: RowIndices
+    manifest: ModelManifest
+
+    def __call__(self, rows: FloatArray) -> list[Judgement]:
+        """Return what passages say.
+
+        Args:
+            rows: Features of the newest table. (n, columns)
+        """
+        features, own = rows[:, self.places], rows[:, self.table_places]
+        expected = np.maximum(self.expected_error(features), LEAST_ERROR_RATIO)
+        return [
+            judgement(row, self.manifest, mu=mu, expected_error_ratio=error)
+            for row, mu, error in zip(own, self.friction(features).tolist(), expected.tolist(), strict=True)
+        ]
+
+
+@dataclass(frozen=True, slots=True)
+class Teaching:
+    """What regressors of the loop are taught.
+
+    Attributes:
+        name: For tables.
+        recipe: How friction is learned.
+        data_sets: From which drives.
+        in_a_box: Whether its bundle only holds the box of the features' extremes, not what ordinary driving looks like.
+    """
+
+    name: str
+    recipe: Recipe
+    data_sets: tuple[str, ...]
+    in_a_box: bool = False
+
+    @property
+    def key(self) -> str:
+        """What names arrays that depend on it."""
+        return f"{self.recipe.key}-{'-'.join(self.data_sets)}"
+
+
+@dataclass(frozen=True, slots=True)
+class Gathered:
+    """The drives of some data sets together.
+
+    Attributes:
+        runs: Those with a summary, set by set and by name.
+        data_set: Where each comes from. (n,)
+        fold: The fold that each is judged in: whole roads of random ones, single drives of the paper's. (n,)
+    """
+
+    runs: Runs
+    data_set: NDArray[np.str_]
+    fold: RowIndices
+
+    def of(self, *names: str) -> BoolArray:
+        """Return which come from some of the data sets. (n,)"""
+        return np.isin(self.data_set, names)
+
+    @property
+    def label_mu(self) -> FloatArray:
+        """The truth. (n,)"""
+        return self.runs.labels["label_mu"]
+
+
+def gathered(bench: Workbench, grade: SensorGrade) -> Gathered:
+    """Return all drives that regressors of the loop are taught with or judged on."""
+    parts, names = [], []
+    for name in DATA_SETS:
+        runs = bench.runs(name, grade)
+        parts.append(runs.rows(rows_by_name(runs)))
+        names += [name] * len(parts[-1])
+    runs = joined(parts)
+    known = np.array([section_id in PAPER_ROADS for section_id in runs.section_id])
+    fold = road_folds(list(runs.section_id), seed=bench.seed) % FOLDS_COUNT
+    fold[known] = fold_numbers(int(known.sum()), FOLDS_COUNT, seed=bench.seed)
+    return Gathered(runs, np.array(names), fold)
+
+
+@dataclass(frozen=True, slots=True)
+class Strange:
+    """What regressors say of drives that they were not taught, nor other drives on that road if it is a random one.
+
+    Attributes:
+        mu: Friction. (n,)
+        expected_error_ratio: Magnitude of the error to expect, on the logarithm. (n,)
+    """
+
+    mu: FloatArray
+    expected_error_ratio: FloatArray
+
+
+def strange(bench: Workbench, grade: SensorGrade, teaching: Teaching) -> Strange:
+    """Return what such regressors say of all gathered drives, whether they are taught with such drives or not."""
+
+    def work() -> Arrays:
+        drives = gathered(bench, grade)
+        features, taught = drives.runs.columns(teaching.recipe.features), drives.of(*teaching.data_sets)
+        mu, expected = np.full(len(features), np.nan), np.full(len(features), np.nan)
+
+        def estimate(fold: int) -> None:
+            out = drives.fold == fold
+            learned = taught & ~out
+            mu[out] = teaching.recipe.learn(features[learned], drives.label_mu[learned])(features[out])
+
+        def expect(fold: int) -> None:
+            out = drives.fold == fold
+            learned = taught & ~out
+            expected[out] = EXPECTED_ERROR(features[learned], miss[learned])(features[out])
+
+        side_by_side([partial(estimate, fold) for fold in range(FOLDS_COUNT)])
+        miss = _miss(mu, drives.label_mu)
+        side_by_side([partial(expect, fold) for fold in range(FOLDS_COUNT)])
+        return {"mu": mu, "expected_error_ratio": np.maximum(expected, LEAST_ERROR_RATIO)}
+
+    found = bench.remembered(f"loop-strange-{grade}-{teaching.key}-{bench.seed}", work)
+    return Strange(found["mu"], found["expected_error_ratio"])
+
+
+def loop_model(bench: Workbench, grade: SensorGrade, teaching: Teaching) -> LoopModel:
+    """Return a taught model as it would stand in a bundle.
+
+    What error to expect, and what that means, is learned from estimates by strangers.
+
+    Args:
+        bench: Where the data comes from.
+        grade: Sensors.
+        teaching: What it is taught.
+    """
+    drives, judged = gathered(bench, grade), strange(bench, grade, teaching)
+    taught = drives.of(*teaching.data_sets)
+    table = _table_of(teaching.recipe)
+    features, label_mu = drives.runs.columns(teaching.recipe.features)[taught], drives.label_mu[taught]
+    return LoopModel(
+        friction=teaching.recipe.learn(features, label_mu),
+        expected_error=EXPECTED_ERROR(features, _miss(judged.mu[taught], label_mu)),
+        places=NEWEST_TABLE.columns(teaching.recipe.features),
+        table_places=NEWEST_TABLE.columns_of(table),
+        manifest=ModelManifest(
+            table_digest=table.digest,
+            feature_names=table.names,
+            model_file="friction",
+            error_model_file="error",
+            mu_range=(float(label_mu.min()), float(label_mu.max())),
+            envelope=learn_envelope(drives.runs.columns(table.names)[taught]),
+            golden=GoldenVectors(rows=(), mu=(), expected_error_ratio=()),
+            conformal=conformal_of(
+                label_mu,
+                np.maximum(judged.mu[taught], LEAST_MU),
+                judged.expected_error_ratio[taught],
+                coverage_frac=COVERAGE_FRAC,
+                doubtful_above_ratio=DOUBTFUL_ABOVE_RATIO,
+            ),
+            ordinary=None if teaching.in_a_box else _ordinary(drives, taught, table, seed=bench.seed),
+        ),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Taught:
+    """What a teaching comes to on drives that were not taught.
+
+    Attributes:
+        mape_ratio: Mean error relative to the truth, by data set.
+        doubtful_frac: Share of the drives that are taken for lower bounds, by data set.
+        outside_box_frac: Share that a box of the features' extremes calls outside, by data set.
+        strange_frac: Share that the envelope of ordinary roads and driving calls strange, by data set.
+    """
+
+    mape_ratio: Mapping[str, float]
+    doubtful_frac: Mapping[str, float]
+    outside_box_frac: Mapping[str, float]
+    strange_frac: Mapping[str, float]
+
+
+def what_is_taught(bench: Workbench, grade: SensorGrade, teaching: Teaching) -> Taught:
+    """Return what a teaching comes to; envelopes are judged by one fold, the estimates by all."""
+    drives, judged = gathered(bench, grade), strange(bench, grade, teaching)
+    error_ratio = np.abs(judged.mu / drives.label_mu - 1.0)
+    doubtful = judged.expected_error_ratio > DOUBTFUL_ABOVE_RATIO
+
+    def work() -> Arrays:
+        table = _table_of(teaching.recipe)
+        values, learned = drives.runs.columns(table.names), drives.of(*teaching.data_sets) & (drives.fold != 0)
+        ordinary = _ordinary(drives, learned, table, seed=bench.seed)
+        strange_road = is_strange_road(values, ordinary, table.names)
+        return {
+            "outside": outside_box(values, learn_envelope(values[learned])).astype(np.float64),
+            "strange": (strange_road | is_strange_driving(values, ordinary, table.names)).astype(np.float64),
+        }
+
+    flags = bench.remembered(f"loop-envelopes-{grade}-{teaching.key}-{bench.seed}", work)
+    parts = {name: drives.of(name) for name in DATA_SETS}
+    return Taught(
+        mape_ratio={name: float(error_ratio[part].mean()) for name, part in parts.items()},
+        doubtful_frac={name: float(doubtful[part].mean()) for name, part in parts.items()},
+        outside_box_frac={
+            name: float(flags["outside"][part & (drives.fold == 0)].mean()) for name, part in parts.items()
+        },
+        strange_frac={name: float(flags["strange"][part & (drives.fold == 0)].mean()) for name, part in parts.items()},
+    )
+
+
+def _ordinary(drives: Gathered, learned: BoolArray, table: FeatureTable, *, seed: int) -> OrdinaryDriving:
+    """Return what ordinary roads and driving look like in some of the drives. `learned`: (n,)"""
+    known = np.isin(drives.runs.section_id, PAPER_ROADS)
+    values = drives.runs.columns(table.names)
+    roads = np.array(drives.runs.section_id)[learned & ~known]
+    return learn_whole_envelope(
+        Ordinary(values[learned & known], values[learned & ~known], tuple(roads.tolist()), table.names),
+        road_columns=[feature.name for feature in table.road],
+        driving_columns=KINEMATIC_FEATURES,
+        seed=seed,
+    )
+
+
+def _table_of(recipe: Recipe) -> FeatureTable:
+    """Return the oldest feature table that a recipe's features are of: what a vehicle sends for it."""
+    return next(table for table in TABLES.values() if set(recipe.features) <= set(table.names))
+
+
+def _miss(mu: FloatArray, label_mu: FloatArray) -> FloatArray:
+    return np.abs(np.log(np.maximum(mu, LEAST_MU) / label_mu))

@@ -1,0 +1,140 @@
+"""What to make of the closed loop, in words that follow the figures."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from training.study.chapter import Claim, Result, Verdict
+from training.study.generalise.estimates import RANDOM_ROADS_SET
+from training.study.generalise.loop_cases import (
+    ANY,
+    BEST,
+    BOXED,
+    FRICTIONS_MU,
+    LIKELIHOODS,
+    MEDIAN,
+    MEDIAN_CUT,
+    NEARLY_ALL_FRAC,
+    PHASE_NAMES,
+    REFINED_CUT,
+    SETTINGS,
+    Setting,
+)
+from training.study.generalise.loop_measures import KNOWN_WITHIN_FRAC, farthest, largest
+from training.study.generalise.loop_model import ANY_SPEED_SET
+from training.study.wording import by_grade, leading_grade, per_cent_words
+from vehicle_client.simulator.plan import SensorGrade
+
+CONFIRMS_ABOVE_FRAC = 0.1
+"""A wrong advice confirms itself if it moves the published friction by more, in the direction of the lie."""
+COUNTED_FRAC = 0.95
+"""So many of the summaries of obedient drivers must count."""
+
+
+def verdict(results: Mapping[SensorGrade, Result]) -> Verdict:
+    """Say who counts, what is found, and whether a lie comes true."""
+    grade = leading_grade(results)
+    figures = results[grade].figures
+    text = _counted_words(results, grade) + _found_words(figures, grade) + _lie_words(figures)
+    left = [figures[f"{Setting(BEST, MEDIAN, share).name}.slippery.worst_left_road"] for share in (0.0, 0.5, 1.0)]
+    text += (
+        f"On slippery road {per_cent_words(left[0])} of the vehicles leave it where nobody obeys, "
+        f"{per_cent_words(left[1])} where half do, {per_cent_words(left[2])} where all do."
+    )
+    return Verdict(Claim.NOT_CLAIMED, text)
+
+
+def _counted_words(results: Mapping[SensorGrade, Result], grade: SensorGrade) -> str:
+    figures = results[grade].figures
+    least = {of: _least_counted(results[of].figures, BEST) for of in results}
+    words = ", ".join(f"{per_cent_words(value)} ({of})" for of, value in least.items())
+    enough = "they stay inside the envelope" if min(least.values()) >= COUNTED_FRAC else "still too few"
+    return (
+        f"Obedient drivers are slow, and a box of the features' extremes takes that for strange: of their summaries "
+        f"{per_cent_words(_least_counted(figures, BOXED))} count at worst ({grade}). By what ordinary driving looks "
+        f"like {words} count at worst: {enough}. Taught drives at any speed as well, the model errs by "
+        f"{by_grade(results, f'{ANY}.{ANY_SPEED_SET}.mape')} on such drives that it did not see instead of "
+        f"{by_grade(results, f'{BEST}.{ANY_SPEED_SET}.mape')}, and on usual drives of unseen roads by "
+        f"{by_grade(results, f'{ANY}.{RANDOM_ROADS_SET}.mape')} instead of "
+        f"{by_grade(results, f'{BEST}.{RANDOM_ROADS_SET}.mape')}. "
+    )
+
+
+def _least_counted(figures: Mapping[str, float], teaching: str) -> float:
+    """Return the share of the summaries that count where all obey, in the worst phase of the worst setting."""
+    known = [
+        value
+        for setting in SETTINGS
+        if setting.teaching == teaching and setting.compliance_frac == 1.0
+        for phase in PHASE_NAMES
+        if np.isfinite(value := figures[f"{setting.name}.{phase}.least_counted"])
+    ]
+    return min(known, default=np.nan)
+
+
+def _found_words(figures: Mapping[str, float], grade: SensorGrade) -> str:
+    told = []
+    for share in (0.5, NEARLY_ALL_FRAC, 1.0):
+        words = ", ".join(
+            _bias_words(figures, Setting(BEST, rule, share)) for rule in (MEDIAN, REFINED_CUT, LIKELIHOODS)
+        )
+        told.append(f"where {100.0 * share:.0f} % obey, {words}")
+    lags = {
+        rule: figures[f"{Setting(BEST, rule, 0.5).name}.slippery.worst_lag_s"] / 60.0
+        for rule in (MEDIAN, MEDIAN_CUT, REFINED_CUT, LIKELIHOODS)
+    }
+    late = ", ".join(f"{lag:.0f} min ({rule})" if np.isfinite(lag) else f"never ({rule})" for rule, lag in lags.items())
+    blind = abs(_worst(figures, Setting(BEST, MEDIAN, 1.0), "worst_bias")) > KNOWN_WITHIN_FRAC
+    reason = (
+        "Who obeys uses so little of the grip that he hardly feels how much there is: the better the advice is obeyed, "
+        "the less the unit knows. "
+        if blind
+        else "Those who obey still use enough of the grip to know it. "
+    )
+    return (
+        f"Once settled the middle of the interval is off by, at worst over phases and roads ({grade}), "
+        f"{'; '.join(told)}. With half of the drivers obeying, the drop to {FRICTIONS_MU[1]:g} is known after {late}. "
+        f"{reason}"
+    )
+
+
+def _bias_words(figures: Mapping[str, float], setting: Setting) -> str:
+    """Return what a unit claims wrongly, and how much of the time it claims nothing."""
+    claimed, marked = _worst(figures, setting, "worst_claimed_bias"), _worst(figures, setting, "most_marked")
+    if not np.isfinite(claimed):
+        return f"nothing claimed ({setting.rule})"
+    often = f", up to {100.0 * marked:.0f} % of the time only a bound" if marked > 0.0 else ""
+    return f"{100.0 * claimed:+.0f} % ({setting.rule}{often})"
+
+
+def _worst(figures: Mapping[str, float], setting: Setting, measure: str) -> float:
+    return farthest([figures[f"{setting.name}.{phase}.{measure}"] for phase in PHASE_NAMES])
+
+
+def _lie_words(figures: Mapping[str, float]) -> str:
+    words = []
+    for teaching, rule in {(s.teaching, s.rule): None for s in SETTINGS if s.told_ratio != 1.0}:
+        claimed, advised = (
+            largest(
+                [
+                    figures[f"{s.name}.{phase}.{what}_towards_lie"]
+                    for s in _lies(teaching, rule)
+                    for phase in PHASE_NAMES
+                ]
+            )
+            for what in ("claimed", "advised")
+        )
+        who = f"{teaching}, {rule}"
+        moved = f"the unit's own advice moves {100.0 * advised:+.0f} % towards the lie"
+        if not np.isfinite(claimed):
+            words.append(f"{who}: no friction is claimed, {moved}")
+            continue
+        confirmed = "confirms itself" if claimed > CONFIRMS_ABOVE_FRAC else "does not confirm itself"
+        words.append(f"{who}: {confirmed} ({100.0 * claimed:+.0f} % towards the lie), {moved}")
+    return f"An advice that all obey and that is wrong by 30 % on purpose, at worst: {'; '.join(words)}. "
+
+
+def _lies(teaching: str, rule: str) -> list[Setting]:
+    return [s for s in SETTINGS if s.told_ratio != 1.0 and (s.teaching, s.rule) == (teaching, rule)]
