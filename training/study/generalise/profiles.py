@@ -58,9 +58,10 @@ from vehicle_client.simulator.plan import SensorGrade
 
 BATCHES_SET = "random-roads-batches"
 SIZES_COUNT = (10, 50)
-BATCHES_COUNT = 200
+BATCHES_COUNT = 120
 QUICK_BATCHES_COUNT = 40
 LEAST_MU = 1e-3
+CONFIDENCE_FRAC = 0.95
 PROFILE_COLUMNS = tuple(f"grip_profile_{100 * mu:.0f}_ratio" for mu in PROFILE_FRICTIONS_MU)
 GRID_MU: FloatArray = np.array(PROFILE_FRICTIONS_MU)
 
@@ -109,13 +110,12 @@ class Evidence:
         """Return the rule that adds up lines of evidence; rows as in the table."""
         log_mu = np.log(self.new_mu)
 
-        def midpoints_mu(batches: RowBatches) -> FloatArray:
-            sums = lines[batches].sum(axis=1)
-            return MEDIAN_TYRE_RATIO * np.array(
-                [placement(one, log_mu=log_mu, confidence_frac=0.95).mu_new for one in sums]
-            )
+        def midpoint_mu(batch: RowIndices) -> float:
+            # One batch at a time: the lines of all of them would not fit into memory.
+            placed = placement(lines[batch].sum(axis=0), log_mu=log_mu, confidence_frac=CONFIDENCE_FRAC)
+            return MEDIAN_TYRE_RATIO * placed.mu_new
 
-        return midpoints_mu
+        return _one_by_one(midpoint_mu)
 
 
 def compute(bench: Workbench, grade: SensorGrade) -> Result:
