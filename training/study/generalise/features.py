@@ -46,7 +46,9 @@ CHANNELS: Mapping[str, str] = {
     "wheels": "grip_wheels_",
     "all channels": "grip_all_",
 }
-PROFILE_PREFIX, SHAPES_PREFIX = "grip_profile_", "grip_"
+INVERSE_PREFIX, PROFILE_PREFIX = "grip_", "grip_profile_"
+OVER_INVERSE_SUFFIX = "_use_ratio"
+"""Shares of the friction that the inverse finds likeliest: they tell of it, too."""
 PRIOR, PAPER, ALL = "prior only", "the paper's", "everything"
 SHAPES, PROFILE = "the paper's and all shapes", "the paper's and the profile"
 INVERSE, NO_INVERSE = "prior and the inverse", "everything but the inverse"
@@ -107,7 +109,7 @@ def groups(names: Sequence[str] = FEATURE_NAMES) -> dict[str, tuple[str, ...]]:
     def among(wanted: Sequence[str]) -> tuple[str, ...]:
         return tuple(name for name in names if name in set(wanted))
 
-    inverse = [name for name in names if name.startswith(SHAPES_PREFIX)]
+    inverse = [name for name in names if name.startswith(INVERSE_PREFIX) or name.endswith(OVER_INVERSE_SUFFIX)]
     profile = [name for name in inverse if name.startswith(PROFILE_PREFIX)]
     shapes = [name for name in inverse if name.startswith(tuple(CHANNELS.values()))]
     return {

@@ -36,6 +36,7 @@ def drives_on_roads(
     features[:, column("grip_all_above_1sd_ratio")] = noise
     features[:, column("grip_all_below_1sd_ratio")] = noise
     features[:, column("demand_q100_mu")] = use * label_mu
+    features[:, column("demand_q100_use_ratio")] = use * label_mu / features[:, column("grip_all_best_mu")]
     features[:, column("section_length_m")] = rng.uniform(50.0, 600.0, roads_count)[road]
     features[:, column("curvature_max_1pm")] = 1.0 / rng.uniform(20.0, 300.0, roads_count)[road]
     features = np.clip(features, NEWEST_TABLE.minimum, NEWEST_TABLE.maximum)
