@@ -9,7 +9,7 @@ import sqlite3
 import subprocess
 import sys
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import IO, Any
 
@@ -223,12 +223,14 @@ def _conditions(response: httpx.Response) -> str:
 
 def _advisory(raw: dict[str, Any]) -> Advisory:
     interval = raw["interval"]
+    # The page says more of an interval than the frames do.
+    known = None if interval is None else {field.name: interval[field.name] for field in fields(FrictionInterval)}
     return Advisory(
         speed_mps=raw["speed_mps"],
         reason=AdvisoryReason(raw["reason"]),
         confidence=Confidence(raw["confidence"]),
         interval=None
-        if interval is None
-        else FrictionInterval(**{**interval, "confidence": Confidence(interval["confidence"])}),
+        if known is None
+        else FrictionInterval(**{**known, "confidence": Confidence(known["confidence"])}),
         valid_for_s=raw["valid_for_s"],
     )
