@@ -48,7 +48,9 @@ DIMENSIONLESS = set(
 # as in an interpolation or a filter, which work for any quantity.
 ANY_UNIT = set(
     "at second lower upper minimum maximum low high knots labels metrics signal derivative matrix x y"
-    " misfit variance priors".split()
+    " misfit variance priors"
+    # Vectors over a car's constants, each of its own unit.
+    " mean first_std drift_std sensor_stds information pull".split()
 )
 # State is an array: in the simulator these are the arrays whose columns an index of names describes.
 STATE_ARRAYS = set("aids body lines log mind road state states wheels".split())
