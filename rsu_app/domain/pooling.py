@@ -44,7 +44,9 @@ class PoolingPolicy:
             not like the rest, or they would not be the only ones that know.
         outlier_frac: Share of estimates that have nothing to do with the road.
         clip_frac: How far the result may lie from what the median places.
-        road_bias_ratio: Standard deviation of the error that all vehicles on one road share.
+        road_bias_ratio: Standard deviation of the error that all vehicles on one road share, at least.
+        shared_error_frac: The same as a share of the mean error that the estimates expect of themselves: where a
+            regressor is unsure of one vehicle, it is for reasons that the next one on this road has, too.
         liars_frac: Share of vehicles against which the half-width must hold whatever they say, below a half.
         confidence_frac: Probability asked of the half-width.
     """
@@ -56,6 +58,7 @@ class PoolingPolicy:
     outlier_frac: float = 0.05
     clip_frac: float = 0.02
     road_bias_ratio: float = 0.03
+    shared_error_frac: float = 0.75
     liars_frac: float = 0.0
     confidence_frac: float = 0.95
 
@@ -68,7 +71,7 @@ class PoolingPolicy:
             raise ValueError("shares of outliers and confidence lie between 0 and 1")
         if not 0.0 < self.named_frac <= 1.0:
             raise ValueError("nobody places nothing, and no more than all can name a friction")
-        if not (self.clip_frac >= 0.0 and self.road_bias_ratio >= 0.0):
+        if min(self.clip_frac, self.road_bias_ratio, self.shared_error_frac) < 0.0:
             raise ValueError("a clip and a bias are no less than zero")
         if not 0.0 <= self.liars_frac < 0.5:
             raise ValueError("no rule holds against half of the vehicles")
@@ -249,11 +252,17 @@ def refined_interval(
     return RefinedInterval(
         mu_low=WORN_TYRE_RATIO * mu_new,
         mu_new=mu_new,
-        half_width_mu=hypot(reach_mu, 1.96 * policy.road_bias_ratio * mu_new),
+        half_width_mu=hypot(reach_mu, 1.96 * _shared_ratio(expected_error_ratio[~at_least], policy) * mu_new),
         informative_count=informative_count,
         censored_count=censored_count,
         clipped=mu_new != free.mu_new,
     )
+
+
+def _shared_ratio(expected_error_ratio: FloatArray, policy: PoolingPolicy) -> float:
+    """Return the standard deviation of the error that all vehicles share, by what those that name a friction expect."""
+    said = np.where(np.isnan(expected_error_ratio), policy.typical_error_ratio, expected_error_ratio)
+    return max(policy.road_bias_ratio, policy.shared_error_frac * float(said.mean()))
 
 
 def refined_interval_of_window(rows: WindowRows, *, policy: PoolingPolicy) -> RefinedInterval | None:

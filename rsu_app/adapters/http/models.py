@@ -46,7 +46,7 @@ class _Model(BaseModel):
 _REFINED_EXAMPLE: dict[str, JsonValue] = {
     "mu_low": 0.284,
     "mu_new": 0.355,
-    "half_width_mu": 0.024,
+    "half_width_mu": 0.031,
     "informative_count": 49,
     "censored_count": 8,
     "at_least": False,

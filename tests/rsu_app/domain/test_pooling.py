@@ -203,6 +203,13 @@ def test_the_half_width_covers_the_truth_with_an_error_that_all_share(rng):
     assert np.mean(covered) > 0.93
 
 
+@pytest.mark.parametrize("expected_ratio", [0.01, 0.04, 0.2])
+def test_the_half_width_grows_with_the_errors_expected_however_many_vehicles(rng, expected_ratio):
+    mu = 0.5 * rng.uniform(0.8, 1.0, 20_000)
+    placed = placed_by_all(mu, np.full(20_000, expected_ratio), replace(UNCLIPPED, shared_error_frac=0.5))
+    assert placed.half_width_mu == pytest.approx(1.96 * max(0.03, 0.5 * expected_ratio) * placed.mu_new, rel=0.05)
+
+
 @pytest.mark.parametrize("lie_mu", [0.05, 0.4, 0.55, 1.2])
 def test_a_share_of_liars_is_inside_the_half_width_if_it_is_assumed(rng, lie_mu):
     policy = replace(POLICY, liars_frac=0.3)
@@ -268,6 +275,7 @@ def test_a_window_hands_over_its_bounds():
         {"confidence_frac": 1.0},
         {"clip_frac": -0.1},
         {"road_bias_ratio": -0.1},
+        {"shared_error_frac": -0.1},
         {"liars_frac": 0.5},
     ],
 )

@@ -142,7 +142,7 @@ def held_frac(plain: bool, *, windows_count: int, seed: int) -> float:  # noqa: 
         windows_count: Windows that are drawn.
         seed: Of the windows.
     """
-    policy = replace(POLICY, road_bias_ratio=0.0) if plain else POLICY
+    policy = replace(POLICY, road_bias_ratio=0.0, shared_error_frac=0.0) if plain else POLICY
     held = []
     for number in _seeds(seed, 50, windows_count).tolist():
         passages = drawn_passages(

@@ -78,6 +78,11 @@ def test_the_headline_is_that_of_the_estimator_chosen_beforehand(result):
         )
 
 
+def test_the_half_width_is_held_against_the_truth(result):
+    for size in profiles.SIZES_COUNT:
+        assert 0.5 < result[0].figures[f"best.half_width.{size}.held_frac"] <= 1.0
+
+
 def test_tables_are_whole(result):
     assert all(len(row) == len(table.columns) for table in result[0].tables for row in table.rows)
 
