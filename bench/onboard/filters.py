@@ -18,7 +18,7 @@ from bench.onboard.agreement import Agreement, agreement, pooled
 from bench.onboard.chapters import Figures
 from bench.onboard.drives import GRADES, SEED, Watched, completed_drives, study_scenarios
 from bench.validation.picture import OURS, QUIET, THEORY, label, legend, line, panels, write
-from roadgrip.features import NEWEST_TABLE
+from roadgrip.features import PAPER_TABLE, summary_for
 from roadgrip.records import Rejected
 from roadgrip.units import SAMPLE_RATE_HZ, FloatArray
 from vehicle_client.estimation import filters
@@ -113,9 +113,14 @@ class _Gathered:
     changes: list[FloatArray] = field(default_factory=list)
 
 
+def paper_values(result: Summarised) -> tuple[float, ...]:
+    """Return the paper's statistics, which go by what is smoothed. (55,)"""
+    return summary_for(result.summary, PAPER_TABLE).values
+
+
 def _gather(gathered: dict[str, _Gathered], cell: list[Watched]) -> None:
     usual = [(watched, watched.result) for watched in cell if isinstance(watched.result, Summarised)]
-    values = np.array([result.summary.values for _, result in usual])
+    values = np.array([paper_values(result) for _, result in usual])
     gathered["hamming_fir"].errors += [_error(watched, result) for watched, result in usual]
     for name, (_, smoother) in READINGS.items():
         changes = []
@@ -125,7 +130,7 @@ def _gather(gathered: dict[str, _Gathered], cell: list[Watched]) -> None:
             if isinstance(other, Rejected):
                 continue
             gathered[name].errors.append(_error(watched, other))
-            changes.append(np.abs(np.array(other.summary.values) - usual_values) / np.std(values, axis=0))
+            changes.append(np.abs(np.array(paper_values(other)) - usual_values) / np.std(values, axis=0))
         gathered[name].changes.append(np.array(changes))
 
 
@@ -145,10 +150,10 @@ def _change_figures(found: _Gathered) -> dict[str, Any]:
         "q50_ratio": float(np.median(change)),
         "q95_ratio": float(np.quantile(change, 0.95)),
         "largest_ratio": float(change.max()),
-        "most_changed_feature": NEWEST_TABLE.kinematic[worst].name,
+        "most_changed_feature": PAPER_TABLE.kinematic[worst].name,
         "most_changed_q50_ratio": float(by_feature[worst]),
         "by_signal_q50_ratio": {name: float(np.median(some)) for name, some in zip(SIGNALS, by_signal, strict=True)},
-        "by_feature_q50_ratio": {f.name: float(by_feature[k]) for k, f in enumerate(NEWEST_TABLE.kinematic)},
+        "by_feature_q50_ratio": {f.name: float(by_feature[k]) for k, f in enumerate(PAPER_TABLE.kinematic)},
     }
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from bench.validation.picture import OURS, QUIET, SERIES, THEORY, label, name, panels, write
+from roadgrip.features import PAPER_TABLE, summary_for
 from roadgrip.section import RoadSection
 from roadgrip.sections import read_section
 from roadgrip.units import FloatArray
@@ -120,4 +121,4 @@ def _features(drive: Drive, section: RoadSection) -> FloatArray:
     result = summarise_passage(drive.trace, section)
     if not isinstance(result, Summarised):
         raise RuntimeError(f"a completed drive was refused: {result}")  # noqa: TRY004 - a refusal is a value
-    return np.array(result.summary.values)
+    return np.array(summary_for(result.summary, PAPER_TABLE).values)
