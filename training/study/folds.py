@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -200,7 +200,7 @@ def paper_estimates(
     Returns:
         Friction, NaN where a run has no summary; rows as in `bench.runs("paper", grade)`. (runs,)
     """
-    chosen = replace(recipe, features=tuple(features))
+    chosen = recipe.on(features)
 
     def work() -> dict[str, FloatArray]:
         runs = bench.runs(PAPER_SET, grade)

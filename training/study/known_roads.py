@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from roadgrip.units import FloatArray
@@ -87,7 +85,7 @@ def sfs15_mape_ratio(bench: Workbench, grade: SensorGrade, recipe: Recipe) -> fl
     # The paper's search goes on to 30 and is there anyway.
     most_count = None if recipe.features == PAPER_FEATURES else SELECTED_COUNT
     chosen = selected_features(bench, grade, candidates=recipe.features, most_count=most_count)
-    return cv_median_mape_ratio(bench, grade, replace(recipe, features=chosen))
+    return cv_median_mape_ratio(bench, grade, recipe.on(chosen))
 
 
 def known_roads_headlines(

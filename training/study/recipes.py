@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, is_dataclass, replace
 from typing import TypeAlias
 
@@ -23,6 +23,8 @@ Either a function at the top of a module or a frozen record with `__call__`: onl
 do, and what was computed before is only of use to the same learner.
 """
 
+FIRST_GUESS = "grip_all_best_mu"
+"""What the physical inverse takes for the friction; trees that start from it need not learn to repeat a number."""
 PAPER_FIT = FitParameters(
     trees_count=100, depth_count=6, learning_rate_ratio=0.3, row_share_frac=1.0, column_share_frac=1.0
 )
@@ -42,6 +44,20 @@ class Recipe:
     name: str
     features: tuple[str, ...]
     learn: Learner
+
+    def __post_init__(self) -> None:
+        if mends_first_guess(self.learn) and self.features[:1] != (FIRST_GUESS,):
+            raise ValueError(f"what mends a first guess needs {FIRST_GUESS} as its first feature")
+
+    def on(self, features: Sequence[str], *, name: str | None = None) -> Recipe:
+        """Return the same way of learning from other features; without the first guess among them, from nothing."""
+        learn, chosen = self.learn, tuple(features)
+        if isinstance(learn, Boosted) and mends_first_guess(learn):
+            if FIRST_GUESS in chosen:
+                chosen = (FIRST_GUESS, *(feature for feature in chosen if feature != FIRST_GUESS))
+            else:
+                learn = replace(learn, parameters=replace(learn.parameters, base_column=None))
+        return Recipe(name or self.name, chosen, learn)
 
     @property
     def key(self) -> str:
@@ -79,13 +95,18 @@ class Boosted:
         return lambda rows: estimate_mu(booster, rows, threads_count=1)
 
 
+def mends_first_guess(learn: Learner) -> bool:
+    """Return whether a learner starts from its first feature, which then must be `FIRST_GUESS`."""
+    return isinstance(learn, Boosted) and learn.parameters.base_column is not None
+
+
 PAPER_RECIPE = Recipe("paper", PAPER_FEATURES, Boosted(PAPER_FIT))
 """The paper's regressor: 78 features, 100 trees of depth 6."""
 SPEED_ONLY_RECIPE = replace(PAPER_RECIPE, name="speed only", features=SPEED_FEATURES)
 """The same from nothing but the speed: what the driver's caution alone gives away."""
 BEST_RECIPE = Recipe(
     "best",
-    FEATURE_NAMES,
+    (FIRST_GUESS, *(name for name in FEATURE_NAMES if name != FIRST_GUESS)),
     Boosted(
         FitParameters(
             trees_count=600,
@@ -94,7 +115,8 @@ BEST_RECIPE = Recipe(
             row_share_frac=0.7,
             column_share_frac=0.4,
             target=Target.LOG_MU,
+            base_column=0,
         )
     ),
 )
-"""Everything the vehicle tells, and many careful trees that err relative to the truth."""
+"""Everything the vehicle tells: many careful trees mend the best friction of the physical inverse."""

@@ -251,6 +251,8 @@ def _boosted_of(values: Mapping[str, Any], start: Boosted) -> Boosted:
         row_share_frac=round(float(values["row_share_frac"]), 3),
         column_share_frac=round(float(values["column_share_frac"]), 3),
         target=Target.LOG_MU if values["aim"] == "log" else Target.MU,
+        # Only a logarithm is told as a distance from a first guess.
+        base_column=start.parameters.base_column if values["aim"] == "log" else None,
     )
     return Boosted(parameters, relative=values["aim"] == "relative")
 

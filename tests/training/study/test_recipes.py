@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from training.fit_parameters import FitParameters, Target
-from training.study.recipes import PAPER_FIT, PAPER_RECIPE, Boosted, Recipe
+from training.study.recipes import BEST_RECIPE, FIRST_GUESS, PAPER_FIT, PAPER_RECIPE, Boosted, Recipe
 
 
 def learned_by_a_function(features, label_mu):
@@ -47,3 +47,18 @@ def test_relative_errors_count_alike_where_they_are_asked_to(learn):
     label_mu = np.tile([0.2, 0.8], 200)
     estimate = learn(np.zeros((400, 1)), label_mu)(np.zeros((1, 1)))[0]
     assert estimate == pytest.approx(np.sqrt(0.16) if not learn.relative else 0.2353, abs=0.005)
+
+
+def test_what_mends_a_first_guess_keeps_it_first_whatever_else_it_learns_from():
+    other = BEST_RECIPE.on(("speed_mean_mps", FIRST_GUESS), name="two")
+    assert other.features == (FIRST_GUESS, "speed_mean_mps")
+    assert other.learn == BEST_RECIPE.learn
+
+
+def test_without_the_first_guess_the_same_way_of_learning_starts_from_nothing():
+    assert BEST_RECIPE.on(("speed_mean_mps",)).learn.parameters.base_column is None
+
+
+def test_a_first_guess_in_the_wrong_place_is_no_recipe():
+    with pytest.raises(ValueError, match="first feature"):
+        replace(BEST_RECIPE, features=("speed_mean_mps", FIRST_GUESS))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from training.study.generalise.held_out import (
 )
 from training.study.paper_features import PAPER_FEATURES, columns_by_name
 from training.study.picture import Axis, Bars
-from training.study.recipes import BEST_RECIPE, Estimator, Learner, Recipe
+from training.study.recipes import BEST_RECIPE, Estimator, Learner, Recipe, mends_first_guess
 from training.study.wording import by_grade, leading_grade, listed
 from vehicle_client.simulator.plan import SensorGrade
 
@@ -81,7 +81,10 @@ class BestByGain:
 
     def __call__(self, features: FloatArray, label_mu: FloatArray) -> Estimator:
         """Return what is made of features, of which most are not looked at."""
-        chosen = columns_by_gain(features, label_mu)[: self.count]
+        chosen = columns_by_gain(features, label_mu)
+        if mends_first_guess(self.learn):
+            chosen = np.concatenate([[0], chosen[chosen != 0]])
+        chosen = chosen[: self.count]
         estimator = self.learn(features[:, chosen], label_mu)
         return lambda rows: estimator(rows[:, chosen])
 
@@ -129,10 +132,10 @@ def groups(names: Sequence[str] = FEATURE_NAMES) -> dict[str, tuple[str, ...]]:
 
 def recipes(names: Sequence[str] = FEATURE_NAMES) -> dict[str, Recipe]:
     """Return how each group is judged: all alike, by the way of learning of the best regressor."""
-    found = {name: replace(BEST_RECIPE, name=name, features=some) for name, some in groups(names).items()}
+    found = {name: BEST_RECIPE.on(some, name=name) for name, some in groups(names).items()}
     for count in FEWER_COUNTS:
         name = fewer_name(count)
-        found[name] = Recipe(name, tuple(names), BestByGain(BEST_RECIPE.learn, count))
+        found[name] = Recipe(name, BEST_RECIPE.on(names).features, BestByGain(BEST_RECIPE.learn, count))
     return found
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -25,7 +24,7 @@ from vehicle_client.simulator.plan import SensorGrade
 PAPER, PAPER_FEATURES_OURS, BEST = "paper_config", "paper_features", "best"
 CURVES: Mapping[str, Recipe] = {
     PAPER: PAPER_RECIPE,
-    PAPER_FEATURES_OURS: replace(BEST_RECIPE, name="the paper's features, our way", features=PAPER_FEATURES),
+    PAPER_FEATURES_OURS: BEST_RECIPE.on(PAPER_FEATURES, name="the paper's features, our way"),
     BEST: BEST_RECIPE,
 }
 """What is learned ever more from, by the name of its figures."""
