@@ -135,16 +135,16 @@ def batches_of_cell(cell: Cell, *, size_count: int, batches_count: int, seed: in
     return drawn_batches(rng, cell.rows, size_count=size_count, batches_count=batches_count)
 
 
-def errors_of_answers(cell: Cell, answers: FloatArray, *, size_count: int) -> CellErrors:
+def errors_of_answers(cell: Cell, answers_mu: FloatArray, *, size_count: int) -> CellErrors:
     """Return how far answers for batches of a cell are from the truth.
 
     Args:
         cell: Where the batches were drawn.
-        answers: One midpoint per batch, NaN where there is none; at least one batch. (batches_count,)
+        answers_mu: One midpoint per batch, NaN where there is none; at least one batch. (batches_count,)
         size_count: Vehicles in a batch.
     """
-    batches_count = len(answers)
-    errors = answers[np.isfinite(answers)] / cell.midpoint_mu - 1.0
+    batches_count = len(answers_mu)
+    errors = answers_mu[np.isfinite(answers_mu)] / cell.midpoint_mu - 1.0
     magnitude = np.abs(errors)
     silent = len(errors) == 0
     return CellErrors(

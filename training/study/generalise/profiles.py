@@ -89,22 +89,22 @@ class Evidence:
     """What passages say of the friction of a new tyre, one line of logarithms each.
 
     Attributes:
-        of_profiles: By the likelihood they sent. (n, m)
-        of_estimates: By what the regressor makes of them. (n, m)
+        profile_values: By the likelihood they sent. (n, m)
+        estimate_values: By what the regressor makes of them. (n, m)
         new_mu: The frictions. (m,)
     """
 
-    of_profiles: FloatArray
-    of_estimates: FloatArray
+    profile_values: FloatArray
+    estimate_values: FloatArray
     new_mu: FloatArray
 
     @property
     def sharper(self) -> FloatArray:
         """Of each passage the line that leaves less open. (n, m)"""
         by_profile, by_estimate = (
-            spread_ratio(lines, new_mu=self.new_mu) for lines in (self.of_profiles, self.of_estimates)
+            spread_ratio(lines, new_mu=self.new_mu) for lines in (self.profile_values, self.estimate_values)
         )
-        return np.where((by_profile < by_estimate)[:, None], self.of_profiles, self.of_estimates)
+        return np.where((by_profile < by_estimate)[:, None], self.profile_values, self.estimate_values)
 
     def summed(self, lines: FloatArray) -> BatchRule:
         """Return the rule that adds up lines of evidence; rows as in the table."""
@@ -205,15 +205,15 @@ def rules_on(
         grid_mu=GRID_MU,
         policy=ProfilePolicy(temper_exponent=temper_exponent),
     )
-    by_estimate = evidence_of_estimates(estimates, new_mu=new_mu)
-    evidence = Evidence(_of_all_rows(profiles, there), _of_all_rows(by_estimate, there), new_mu)
+    by_estimate_values = evidence_of_estimates(estimates, new_mu=new_mu)
+    evidence = Evidence(_of_all_rows(profiles, there), _of_all_rows(by_estimate_values, there), new_mu)
     passages = _passages(there)
-    likelihood = evidence.summed(evidence.of_estimates)
+    likelihood = evidence.summed(evidence.estimate_values)
     mean_features = _mean_features_rule(bench, grade, recipe, learned, runs)
     return {
         FLOOR: _one_by_one(published_rule(runs.labels["label_mu"])),
         **{name: _one_by_one(rule_on_rows(RULES[name], passages)) for name in (MEDIAN, WEIGHTED, REFINED)},
-        PROFILES: evidence.summed(evidence.of_profiles),
+        PROFILES: evidence.summed(evidence.profile_values),
         LIKELIHOOD: likelihood,
         MIXTURE: evidence.summed(evidence.sharper),
         MEAN_FEATURES: mean_features,

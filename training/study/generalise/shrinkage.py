@@ -84,13 +84,15 @@ def evidence_of_estimates(estimates: Unshrunk, *, new_mu: FloatArray) -> FloatAr
     return evidence_values
 
 
-def learned_temper_exponent(profiles: FloatArray, *, grid_mu: FloatArray, base_friction_mu: FloatArray) -> float:
+def learned_temper_exponent(
+    log_likelihood_values: FloatArray, *, grid_mu: FloatArray, base_friction_mu: FloatArray
+) -> float:
     """Return how far profiles are to be believed: the exponent under which the truth is least of a surprise.
 
     Each profile is made a density of ln mu_new; the exponent with the greatest mean log density at the truth is taken.
 
     Args:
-        profiles: Of passages on roads with known friction. (n, k)
+        log_likelihood_values: The profiles of passages on roads with known friction. (n, k)
         grid_mu: Friction of their points. (k,)
         base_friction_mu: What the road offered a new tyre. (n,)
     """
@@ -98,7 +100,9 @@ def learned_temper_exponent(profiles: FloatArray, *, grid_mu: FloatArray, base_f
     place = np.clip(np.searchsorted(new_mu, base_friction_mu), 0, len(new_mu) - 1)
     scores = []
     for exponent in TEMPER_EXPONENTS:
-        lines = evidence_of_profiles(profiles, grid_mu=grid_mu, policy=ProfilePolicy(temper_exponent=exponent))
+        lines = evidence_of_profiles(
+            log_likelihood_values, grid_mu=grid_mu, policy=ProfilePolicy(temper_exponent=exponent)
+        )
         at_truth = lines[np.arange(len(lines)), place] - np.log(np.exp(lines).mean(axis=1))
         scores.append(float(at_truth.mean()))
     return TEMPER_EXPONENTS[int(np.argmax(scores))]
