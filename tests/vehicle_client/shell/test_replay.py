@@ -9,13 +9,18 @@ from functools import partial
 import pytest
 
 from roadgrip.errors import ConfigurationError
+from roadgrip.features import PAPER_TABLE
 from roadgrip.records import Accepted, Arrival, Passage, Reason, Rejected
 from roadgrip.section import RoadSection
 from tests.vehicle_client.shell.air import Ether, TokenCodec, Unit
 from tests.vehicle_client.shell.cars import WireToUnit
 from tests.vehicle_client.synthetic import drive_over, road, s_turn
+from vehicle_client.estimation.grip.noise import IDEAL_NOISE
+from vehicle_client.estimation.handling import XC90_HANDLING
+from vehicle_client.pipeline import Summarised
 from vehicle_client.shell.exchange import Ending
 from vehicle_client.shell.replay import Replay, send_recorded, summarise_recording
+from vehicle_client.vehicle_profile import PAPER_VEHICLE
 
 NEW = road(s_turn)
 OLD = replace(NEW, speed_limit_mps=NEW.speed_limit_mps - 3.0)
@@ -87,3 +92,15 @@ def test_a_unit_that_does_not_send_its_map_is_said():
 
     with pytest.raises(ConfigurationError, match="did not answer"):
         sent(Silent(TokenCodec(Ether()), section=OLD, outcomes=[STALE]))
+
+
+@pytest.mark.parametrize("declared", ["handling", "noise"])
+def test_a_recording_is_read_with_what_its_car_declares(declared):
+    heavier = replace(XC90_HANDLING, mass_kg=1.3 * XC90_HANDLING.mass_kg)
+    other = replace(PAPER_VEHICLE, **({"handling": heavier} if declared == "handling" else {"noise": IDEAL_NOISE}))
+    own, changed = (summarise_recording(TRACE, NEW, vehicle=car).made for car in (PAPER_VEHICLE, other))
+    assert isinstance(own, Summarised)
+    assert isinstance(changed, Summarised)
+    statistics = len(PAPER_TABLE.kinematic)
+    assert changed.summary.values[:statistics] == own.summary.values[:statistics]
+    assert changed.summary.values[statistics:] != own.summary.values[statistics:]

@@ -23,6 +23,8 @@ from roadgrip.sections import read_section
 from roadgrip.units import GRAVITY_MPS2
 from tests.vehicle_client.shell.cars import a_drive
 from vehicle_client.cli import app_of
+from vehicle_client.estimation.grip.noise import AUTOMOTIVE_NOISE, IDEAL_NOISE
+from vehicle_client.pipeline import Summarised, summarise_passage
 from vehicle_client.shell.drive_picture import (
     axle_force_ratio,
     axle_slip_rad,
@@ -45,7 +47,7 @@ from vehicle_client.shell.single_drive import (
     single_drive_to_json,
 )
 from vehicle_client.simulator.drive import DriveOutcome, Truth
-from vehicle_client.simulator.plan import DriverKind, PassagePlan, RoughnessClass
+from vehicle_client.simulator.plan import DriverKind, PassagePlan, RoughnessClass, SensorGrade
 from vehicle_client.simulator.vehicle import XC90
 
 SLIPPERY = DriveOrder(base_friction_mu=0.15, kind=DriverKind.REACTING, speed_mps=23.0)
@@ -300,3 +302,15 @@ def test_an_option_out_of_its_range_is_refused(options: str):
     result = CliRunner().invoke(app_of(), ["drive", *options.split()])
     assert result.exit_code == 2
     assert options.split(maxsplit=1)[0] in result.output
+
+
+@pytest.mark.sim
+def test_the_car_declares_the_sensors_it_carries(s_turn):
+    driven = drive_once(s_turn, DriveOrder(grade=SensorGrade.IDEAL))
+    assert isinstance(driven.made, Summarised)
+    declared, undeclared = (
+        summarise_passage(driven.drive.trace, s_turn, noise=n) for n in (IDEAL_NOISE, AUTOMOTIVE_NOISE)
+    )
+    assert isinstance(declared, Summarised)
+    assert isinstance(undeclared, Summarised)
+    assert driven.made.summary == declared.summary != undeclared.summary
