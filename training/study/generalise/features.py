@@ -24,7 +24,7 @@ from training.study.generalise.held_out import (
 )
 from training.study.paper_features import PAPER_FEATURES, columns_by_name
 from training.study.picture import Axis, Bars
-from training.study.recipes import BEST_RECIPE, Estimator, Learner, Recipe, mends_first_guess
+from training.study.recipes import BEST_RECIPE, FIRST_GUESS, Estimator, Learner, Recipe, mends_first_guess
 from training.study.wording import by_grade, leading_grade, listed
 from vehicle_client.simulator.plan import SensorGrade
 
@@ -40,12 +40,15 @@ PRIOR_FEATURES = (
     "force_y_max_mps2",
 )
 """What anybody beside the road might guess from: how fast, how tight, how hard."""
+ALL_CHANNELS = "all channels"
 CHANNELS: Mapping[str, str] = {
     "steering": "grip_steering_",
     "drift": "grip_drift_",
     "wheels": "grip_wheels_",
-    "all channels": "grip_all_",
+    ALL_CHANNELS: "grip_all_",
 }
+SHIFT = "shift_ratio"
+"""How far the best friction of a channel lies from that of all channels together."""
 INVERSE_PREFIX, PROFILE_PREFIX = "grip_", "grip_profile_"
 OVER_INVERSE_SUFFIX = "_use_ratio"
 """Shares of the friction that the inverse finds likeliest: they tell of it, too."""
@@ -87,6 +90,29 @@ class BestByGain:
         chosen = chosen[: self.count]
         estimator = self.learn(features[:, chosen], label_mu)
         return lambda rows: estimator(rows[:, chosen])
+
+
+@dataclass(frozen=True, slots=True)
+class OneChannel:
+    """The learner that knows of a channel's own best friction, and nothing of that of all channels together.
+
+    The feature table tells a channel's best by how far it lies from that of all, which alone would mean nothing.
+
+    Attributes:
+        learn: How to learn from the channel's best, in place of the first two columns, and the others.
+    """
+
+    learn: Learner
+
+    def __call__(self, features: FloatArray, label_mu: FloatArray) -> Estimator:
+        """Return what is made of features: the best of all channels, the channel's shift from it, then any others."""
+        estimator = self.learn(_own_best(features), label_mu)
+        return lambda rows: estimator(_own_best(rows))
+
+
+def _own_best(features: FloatArray) -> FloatArray:
+    best_mu: FloatArray = features[:, 0] * np.exp(features[:, 1])
+    return np.column_stack([best_mu, features[:, 2:]])
 
 
 def columns_by_gain(features: FloatArray, label_mu: FloatArray) -> RowIndices:
@@ -133,6 +159,11 @@ def groups(names: Sequence[str] = FEATURE_NAMES) -> dict[str, tuple[str, ...]]:
 def recipes(names: Sequence[str] = FEATURE_NAMES) -> dict[str, Recipe]:
     """Return how each group is judged: all alike, by the way of learning of the best regressor."""
     found = {name: BEST_RECIPE.on(some, name=name) for name, some in groups(names).items()}
+    for channel, prefix in CHANNELS.items():
+        if channel != ALL_CHANNELS:
+            name, shift = f"{PAPER} and {channel}", f"{prefix}{SHIFT}"
+            rest = (feature for feature in found[name].features if feature != shift)
+            found[name] = Recipe(name, (FIRST_GUESS, shift, *rest), OneChannel(BEST_RECIPE.learn))
     for count in FEWER_COUNTS:
         name = fewer_name(count)
         found[name] = Recipe(name, BEST_RECIPE.on(names).features, BestByGain(BEST_RECIPE.learn, count))
@@ -220,8 +251,10 @@ def floats_counts(recipe: Recipe) -> tuple[Cell, Cell]:
     """Return how many figures a group needs, and how many of them the vehicle has to send."""
     if isinstance(recipe.learn, BestByGain):
         return recipe.learn.count, None
+    # A channel's own best friction is one figure, which the table tells as two.
+    names = recipe.features[1:] if isinstance(recipe.learn, OneChannel) else recipe.features
     sent = {feature.name for feature in NEWEST_TABLE.kinematic}
-    return len(recipe.features), sum(feature in sent for feature in recipe.features)
+    return len(names), sum(feature in sent for feature in names)
 
 
 def _estimates(bench: Workbench, grade: SensorGrade, recipe: Recipe) -> FloatArray:
@@ -254,7 +287,7 @@ def verdict(results: Mapping[SensorGrade, Result]) -> Verdict:
     mape = {
         name.removeprefix("mape."): value for name, value in results[grade].figures.items() if name.startswith("mape.")
     }
-    channels = {name: mape[f"{PAPER} and {name}"] for name in CHANNELS if name != "all channels"}
+    channels = {name: mape[f"{PAPER} and {name}"] for name in CHANNELS if name != ALL_CHANNELS}
     best_channel = min(channels, key=lambda name: channels[name])
     inverse_wins = mape[ALL] < 0.9 * mape[NO_INVERSE]
     few = min((count for count in FEWER_COUNTS if mape[fewer_name(count)] <= 1.1 * mape[ALL]), default=None)

@@ -9,9 +9,9 @@ from roadgrip.features import FEATURE_NAMES
 from tests.training.study.generalise.road_drives import FEW, SMALL_BEST, road_desk
 from tests.training.study.results import assert_presentable, with_figures
 from training.study.generalise import features
-from training.study.generalise.features import ALL, FEWER_COUNTS, INVERSE, NO_INVERSE, PAPER, BestByGain
+from training.study.generalise.features import ALL, FEWER_COUNTS, INVERSE, NO_INVERSE, PAPER, BestByGain, OneChannel
 from training.study.paper_features import PAPER_FEATURES
-from training.study.recipes import Recipe
+from training.study.recipes import FIRST_GUESS, Recipe
 from vehicle_client.simulator.plan import SensorGrade
 
 IDEAL = SensorGrade.IDEAL
@@ -56,6 +56,24 @@ def test_the_best_columns_are_found_in_what_is_learned_from(monkeypatch):
     blurred = rng.normal(size=rows.shape)
     blurred[:, 5] = rows[:, 5]
     assert estimator(blurred).tolist() == estimator(rows).tolist()
+
+
+def test_a_channel_alone_knows_its_own_best_and_not_that_of_all():
+    rng = np.random.default_rng(1)
+    own, together = rng.uniform(0.2, 0.7, 200), rng.uniform(0.2, 0.7, 200)
+    rows = np.column_stack([together, np.log(own / together), rng.normal(size=200)])
+    other = np.column_stack([np.full(200, 0.3), np.log(own / 0.3), rows[:, 2]])
+    estimator = OneChannel(FEW)(rows, own)
+    assert np.abs(estimator(rows) / own - 1.0).mean() < 0.1
+    assert estimator(other).tolist() == pytest.approx(estimator(rows).tolist(), rel=1e-3)
+
+
+def test_only_single_channels_are_told_by_their_own_best():
+    alone = {name for name, recipe in features.recipes().items() if isinstance(recipe.learn, OneChannel)}
+    assert alone == {f"{PAPER} and {channel}" for channel in ("steering", "drift", "wheels")}
+    assert all(features.recipes()[name].features[0] == FIRST_GUESS for name in alone)
+    for name in alone:
+        assert features.floats_counts(features.recipes()[name])[0] == len(features.groups()[name])
 
 
 def test_recipes_of_different_counts_have_keys_of_their_own():
