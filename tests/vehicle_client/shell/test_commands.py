@@ -74,7 +74,9 @@ def test_what_cannot_be_is_one_line_and_exit_code_2(
 def test_a_drive_is_drawn_kept_and_replayed(tmp_path: Path):
     pytest.importorskip("matplotlib")
     picture, recording = tmp_path / "drive.png", tmp_path / "drive.csv.gz"
-    code, out = run("drive", "-s", "s-turn", "--sensors", "automotive", "--json", "--plot", picture, "--trace", recording)
+    code, out = run(
+        "drive", "-s", "s-turn", "--sensors", "automotive", "--json", "--plot", picture, "--trace", recording
+    )
     assert code == 0
     driven = json.loads(out)
     assert driven["outcome"] == "completed"
