@@ -50,7 +50,9 @@ ANY_UNIT = set(
     "at second lower upper minimum maximum low high knots labels metrics signal derivative matrix x y"
     " misfit variance priors"
     # Vectors over a car's constants, each of its own unit.
-    " mean first_std drift_std sensor_stds information pull".split()
+    " mean first_std drift_std sensor_stds information pull"
+    # Codes, kept among numbers.
+    " flags".split()
 )
 # State is an array: in the simulator these are the arrays whose columns an index of names describes.
 STATE_ARRAYS = set("aids body lines log mind road state states wheels".split())

@@ -22,7 +22,7 @@ from training.regressor import estimate_mu, grow_trees
 CONFORMAL = Conformal(coverage_frac=0.9, quantile=1.8, doubtful_above_ratio=0.3)
 LOG = FitParameters(trees_count=30, target=Target.LOG_MU)
 PLAIN = FitParameters(trees_count=30)
-MENDING = replace(LOG, base_column=FEATURE_NAMES.index("grip_all_best_mu"))
+MENDING = replace(LOG, trees_count=90, base_column=FEATURE_NAMES.index("grip_all_best_mu"))
 
 
 def usable(runs: Runs) -> Runs:
