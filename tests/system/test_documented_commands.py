@@ -176,7 +176,11 @@ def test_the_page_on_other_peoples_drives_writes_some_and_evaluates_them(project
     page = project_root / "docs" / "evaluate.md"
     printed = run(block_with(page, "evaluate --example"), tmp_path)
     assert "counted" in printed
-    assert sorted(path.name for path in (tmp_path / "report").iterdir()) == ["passages.csv", "report.html", "report.json"]
+    assert sorted(path.name for path in (tmp_path / "report").iterdir()) == [
+        "passages.csv",
+        "report.html",
+        "report.json",
+    ]
     raw = block_with(page, "simulate --design paper")
     short = raw.replace("--design paper --runs 2", "--section sharp-turn --runs 1 --workers 1")
     assert "sharp-turn, base friction 0.70" in run(short, tmp_path)
