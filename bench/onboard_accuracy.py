@@ -20,9 +20,9 @@ from concurrent.futures import as_completed
 from pathlib import Path
 from typing import Any
 
-from bench.marked_tables import rounded, with_tables
 from bench.onboard.chapters import CHAPTERS, InputMissingError, drawn, table_maker
 from training.code_identity import code_digest
+from training.marked_tables import rounded, with_tables
 from training.workers import executor
 from vehicle_client.simulator.run import compiled_cache_key, warm_up
 

@@ -27,7 +27,6 @@ if __name__ == "__main__":
     sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from bench.bench_wire import SIGNER
-from bench.marked_tables import rounded, table, with_tables
 from bench.measurement import ROADS, cost_s, keep_figures, table_of
 from bench.speed import float_loop, with_scipy
 from bench.speed.footprint import fresh_figures, installed, installed_mb, live_figures
@@ -36,6 +35,7 @@ from roadgrip.records import Passage
 from roadgrip.section import RoadSection
 from roadgrip.sections import read_section
 from roadgrip.units import SAMPLE_S, FloatArray
+from training.marked_tables import rounded, table, with_tables
 from vehicle_client.estimation.trace import Trace
 from vehicle_client.pipeline import Summarised, summarise_passage
 from vehicle_client.shell.codec import WireCodec

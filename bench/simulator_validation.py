@@ -16,9 +16,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from bench.marked_tables import rounded
 from bench.validation import body, limits, oracle, roughness, time_step, tyre, whole_drive
 from bench.validation.tables import page_with_tables
+from training.marked_tables import rounded
 from vehicle_client.simulator.run import compiled_cache_key, warm_up
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from bench.marked_tables import table, with_tables
 from bench.onboard.good_drives import Good, good_drives
 from roadgrip.records import QualityFlag, Reason, Rejected
 from roadgrip.units import SAMPLE_RATE_HZ
+from training.marked_tables import table, with_tables
 from vehicle_client.estimation.plausibility import findings
 from vehicle_client.estimation.trace import GnssTrack, Trace
 from vehicle_client.pipeline import Summarised, summarise_passage

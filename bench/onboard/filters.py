@@ -13,7 +13,6 @@ from unittest.mock import patch
 import numpy as np
 from scipy.signal import butter, sosfiltfilt, sosfreqz
 
-from bench.marked_tables import percent, table
 from bench.onboard.agreement import Agreement, agreement, pooled
 from bench.onboard.chapters import Figures
 from bench.onboard.drives import GRADES, SEED, Watched, completed_drives, study_scenarios
@@ -21,6 +20,7 @@ from bench.validation.picture import OURS, QUIET, THEORY, label, legend, line, p
 from roadgrip.features import PAPER_TABLE, summary_for
 from roadgrip.records import Rejected
 from roadgrip.units import SAMPLE_RATE_HZ, FloatArray
+from training.marked_tables import percent, table
 from vehicle_client.estimation import filters
 from vehicle_client.estimation.filters import CUTOFF_HZ, LowPass
 from vehicle_client.pipeline import Summarised, summarise_passage

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from bench.marked_tables import percent, table
 from bench.onboard.chapters import Figures
 from bench.onboard.matching_drives import (
     SEED,
@@ -42,6 +41,7 @@ from roadgrip.records import Rejected
 from roadgrip.section import RoadSection
 from roadgrip.units import FloatArray
 from training.manoeuvres import MANOEUVRE_FRICTIONS_MU, Manoeuvre, draw_extreme_plan, draw_manoeuvre
+from training.marked_tables import percent, table
 from vehicle_client.mapmatch.alignment import EDGE_TOLERANCE_M
 from vehicle_client.mapmatch.dead_reckoning import match_by_dead_reckoning
 from vehicle_client.mapmatch.match import SectionMatch

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from bench.marked_tables import table
 from bench.onboard.agreement import agreement, pooled
 from bench.onboard.chapters import Figures
 from bench.onboard.drives import GRADES, SEED
@@ -17,6 +16,7 @@ from roadgrip.records import Rejected
 from roadgrip.section import RoadSection
 from roadgrip.sections import read_section
 from roadgrip.units import GRAVITY_MPS2, FloatArray, kph_to_mps, mps_to_kph
+from training.marked_tables import table
 from training.scenarios import chance
 from vehicle_client.estimation.observer import PAPER_PARAMETERS, XC90_PARAMETERS, ObserverParameters
 from vehicle_client.estimation.offsets import NO_OFFSETS

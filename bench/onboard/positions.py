@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from bench.marked_tables import percent, table
 from bench.onboard.chapters import Figures
 from bench.onboard.drives import GRADES, SCENARIO_WORDS, SEED, attempted_drives, study_scenarios
 from bench.validation.picture import OURS, QUIET, SERIES, THEORY, label, legend, panels, write
 from roadgrip.records import Rejected
 from roadgrip.section import RoadSection
 from training.designs import BASE_FRICTIONS_MU, random_roads
+from training.marked_tables import percent, table
 from training.scenarios import Scenario, attempted, chance
 from vehicle_client.mapmatch.match import SectionMatch
 from vehicle_client.pipeline import summarise_passage

@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from bench.marked_tables import percent, table
 from bench.onboard.laps import laps_of
 from bench.onboard.recorded_sideslip import PULLS, Racing
 from bench.onboard.recorded_speed import speeds_of
 from bench.validation.picture import OURS, QUIET, THEORY, THIRD, headroom, label, legend, line, panels, write
 from roadgrip.units import SAMPLE_RATE_HZ, FloatArray
+from training.marked_tables import percent, table
 from vehicle_client.estimation.observer import ObserverParameters
 from vehicle_client.estimation.trace import WHEELS
 from vehicle_client.estimation.vehicle_geometry import VehicleGeometry

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from bench.marked_tables import table
 from bench.onboard.drives import GRADES, SCENARIO_WORDS
 from bench.onboard.variants import VARIANTS
 from bench.validation.picture import (
@@ -26,6 +25,7 @@ from bench.validation.picture import (
     write,
 )
 from roadgrip.units import FloatArray
+from training.marked_tables import table
 from vehicle_client.simulator.plan import SensorGrade
 
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from bench.marked_tables import percent as _percent
-from bench.marked_tables import table as _table
-from bench.marked_tables import with_tables
 from bench.simulator_oracle import OracleCar, Variant
 from bench.validation import bounds
+from training.marked_tables import percent as _percent
+from training.marked_tables import table as _table
+from training.marked_tables import with_tables
 
 Figures = Mapping[str, Any]
 

@@ -6,10 +6,10 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from bench.marked_tables import marks_of
 from bench.onboard.chapters import CHAPTERS
 from bench.onboard.positions import Placed, Tally, error_figures
 from bench.onboard_accuracy import FIGURES_PATH, PAGE, PAGES, page_with_tables
+from training.marked_tables import marks_of
 
 pytestmark = pytest.mark.sim
 

@@ -2,7 +2,7 @@
 
 import math
 
-from bench.marked_tables import marks_of, percent, rounded, table, with_tables
+from training.marked_tables import marks_of, percent, rounded, table, with_tables
 
 PAGE = """before
 <!-- table: one.cells -->
