@@ -26,7 +26,7 @@ def test_what_was_kept_is_there_again(tmp_path):
 def test_a_damaged_file_is_moved_aside_and_told_of(tmp_path, damage):
     path = tmp_path / "memory.json"
     path.write_bytes(damage)
-    told = []
+    told: list[str] = []
     assert kept_memory(path, otherwise=NEW, on_damage=told.append) == NEW
     assert len(told) == 1
     assert str(path) in told[0]
