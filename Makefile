@@ -122,8 +122,9 @@ lock: $(STAMP) ## Remake the hashed locks, one per role (UPGRADE=1 takes newer v
 	  grep -q '^# Made by' $$lock || sed -i '1i # Made by `make lock` for Python 3.11 and later, x86-64 and aarch64; not edited by hand.' $$lock; done
 	@! grep -nE '(://|^--(index|extra-index|find-links|trusted-host)|^-[if] )' requirements/*.txt
 
-bundle: $(STAMP) ## Remake the default model bundle from simulated drives
+bundle: $(STAMP) ## Remake the default model bundle from simulated drives, and its card in docs/laboratory.md
 	@$(BIN)/roadgrip-train default-bundle $(ARGS)
+	@$(BIN)/roadgrip-train card rsu_app/default_bundle --into docs/laboratory.md
 
 # Prudent drivers under both grades of sensors, which watch the same drives, and reacting ones.
 RUNS ?= 1000

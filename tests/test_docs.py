@@ -1,13 +1,13 @@
 """What the pages promise a reader: links that lead somewhere, and the default bundle's own figures."""
 
-import json
 import re
 import subprocess
 from fnmatch import fnmatchcase
 
-import pytest
-
+from roadgrip.bundle import manifest_from_json
 from roadgrip.features import NEWEST_TABLE
+from training.bundle_card import CARD_NAME, card_of
+from training.marked_tables import marks_of, with_tables
 
 LINK = re.compile(r"\]\((?!https?:|mailto:)([^)#\s]*)(?:#([^)\s]+))?\)")
 
@@ -49,13 +49,12 @@ def test_every_page_can_be_reached_from_the_readme(project_root):
     assert sorted(str(p.relative_to(project_root)) for p in set(pages(project_root)) - reached) == []
 
 
-@pytest.mark.parametrize("name", ["mape_ratio", "mape_ratio.long-turn", "mape_ratio.s-turn", "mape_ratio.sharp-turn"])
-def test_the_card_of_the_default_bundle_tells_its_own_figures(project_root, name):
-    manifest = json.loads((project_root / "rsu_app" / "default_bundle" / "manifest.json").read_text(encoding="utf-8"))
+def test_the_card_of_the_default_bundle_is_what_its_manifest_says(project_root):
+    folder = project_root / "rsu_app" / "default_bundle"
+    manifest = manifest_from_json((folder / "manifest.json").read_text(encoding="utf-8"))
     page = (project_root / "docs" / "laboratory.md").read_text(encoding="utf-8")
-    card = page[page.index("## The default bundle") :]
-    assert manifest["bundle_id"] in card
-    assert f"{100 * manifest['metrics'][name]:.1f} %" in card
+    assert marks_of(page[page.index("## The default bundle") :])[:1] == [CARD_NAME]
+    assert with_tables(page, {CARD_NAME: card_of(manifest)}.get) == page, "make bundle, or roadgrip-train card --into"
 
 
 def test_every_feature_is_named_in_the_nomenclature_and_nothing_else_is(project_root):

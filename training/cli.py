@@ -10,6 +10,7 @@ Four steps (simulate, fit, export, bundle), each leaving its result on disk, or 
     roadgrip-train bundle build/runs --fit build/fit --out build/bundle
 
     roadgrip-train default-bundle                     remake the bundle that comes with roadgrip
+    roadgrip-train card build/bundle                  what a bundle is for, learned from, and worth
     roadgrip-train tune-observer                      fit the onboard estimation to a vehicle
     roadgrip-train study paper                        the paper's every result, and `study generalise` past it
     roadgrip-train evaluate --traces drives           say what a bundle makes of anybody's recorded drives
@@ -18,11 +19,9 @@ Four steps (simulate, fit, export, bundle), each leaving its result on disk, or 
 from __future__ import annotations
 
 import json
-import platform
 from concurrent.futures import BrokenExecutor
 from dataclasses import replace
 from importlib.metadata import version
-from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NoReturn
 
@@ -34,40 +33,19 @@ from rich.text import Text
 
 from roadgrip.bundle import BundleManifest
 from roadgrip.errors import RoadgripError
-from training.cells import cells_of
-from training.cli_designs import (
-    DEFAULT_SEED,
-    AsJson,
-    RunsCount,
-    Seed,
-    Workers,
-    cells,
-    console,
-    designs,
-    drive,
-    print_cells,
-    progress_bar,
-    simulate,
-    title_of,
-)
+from roadgrip.features import TABLES, FeatureTable
+from training.cli_bundle import BUNDLE_NAME, card, default_bundle, tools_provenance
+from training.cli_designs import AsJson, cells, console, designs, progress_bar, simulate
 from training.cli_evaluate import evaluate
 from training.cli_study import study_app
 from training.cli_tune import tune_observer
 from training.dataset import Runs, read_runs
-from training.designs import Size, named_design
 from training.fit_parameters import FitParameters
-from training.scenarios import Terms
-from vehicle_client.simulator.plan import SensorGrade
 
 # Trees and ONNX take seconds to import: they are where they are needed.
 if TYPE_CHECKING:
     from training.regressor import Fitted
 
-BUNDLE_NAME = "roadgrip-global"
-DEFAULT_BUNDLE_FOLDER = Path(str(files("rsu_app") / "default_bundle"))
-DEFAULT_RUNS_COUNT = 250
-DEFAULT_RANDOM_ROADS_COUNT = 120
-DEFAULT_RANDOM_RUNS_COUNT = 4
 DEFAULT_FIT = FitParameters()
 
 app = typer.Typer(
@@ -106,6 +84,8 @@ app.command()(cells)
 app.command()(tune_observer)
 app.add_typer(study_app)
 app.command()(evaluate)
+app.command()(default_bundle)
+app.command()(card)
 
 
 @app.command(name="fit")
@@ -113,6 +93,9 @@ def fit_command(
     data: RunsFolder,
     *,
     out: Annotated[Path, typer.Option("--out", help="Folder for the trees.")],
+    table: Annotated[
+        int | None, typer.Option("--table", help="Version of the feature table.", show_default="the runs' own")
+    ] = None,
     trees: Trees = DEFAULT_FIT.trees_count,
     depth: Depth = DEFAULT_FIT.depth_count,
     seed: Annotated[int, typer.Option(min=0, help="Of the split and of the trees.")] = DEFAULT_FIT.seed,
@@ -125,6 +108,8 @@ def fit_command(
     from training.fit_files import write_fit
 
     runs = read_runs(data)
+    if table is not None:
+        runs = runs.for_table(_table_of_version(table))
     parameters = FitParameters(trees_count=trees, depth_count=depth, seed=seed)
     fitted = _fit(runs, parameters)
     write_fit(fitted, out, runs=runs, parameters=parameters)
@@ -143,10 +128,10 @@ def export(
     Example: roadgrip-train export build/fit --data build/ideal --out build/model.onnx
     """
     from training.export import check_parity, parity_rows, to_onnx
-    from training.fit_files import read_trees
+    from training.fit_files import fitted_table, read_trees
 
     trees = read_trees(fit_folder)
-    runs = read_runs(data)
+    runs = read_runs(data).for_table(fitted_table(fit_folder))
     model = to_onnx(trees, table=runs.table)
     rows = parity_rows(runs.features[runs.usable], rng=np.random.default_rng(0), table=runs.table)
     difference_mu = check_parity(trees, model, rows, table=runs.table)
@@ -170,42 +155,11 @@ def bundle(
 
     Example: roadgrip-train bundle build/ideal --fit build/fit --out build/bundle
     """
-    from training.fit_files import read_fit
+    from training.fit_files import fitted_table, read_fit
 
-    runs = read_runs(data)
+    runs = read_runs(data).for_table(fitted_table(fit_folder))
     fitted, parameters = read_fit(fit_folder, runs=runs)
     manifest = _bundle(runs, fitted, out, name=name, command="roadgrip-train bundle", parameters=parameters)
-    _print_bundle(manifest, out, as_json=as_json)
-
-
-@app.command()
-def default_bundle(
-    *,
-    out: Annotated[
-        Path, typer.Option("--out", help="Folder for the bundle.", show_default="the packaged bundle's")
-    ] = DEFAULT_BUNDLE_FOLDER,
-    work: Annotated[Path, typer.Option("--work", help="Folder for the runs; goes on where it was.")] = Path(
-        "build/default-bundle"
-    ),
-    runs: RunsCount = DEFAULT_RUNS_COUNT,
-    random_roads: Annotated[int, typer.Option(min=0, help="Random roads.")] = DEFAULT_RANDOM_ROADS_COUNT,
-    seed: Seed = DEFAULT_SEED,
-    workers: Workers = None,
-    as_json: AsJson = False,
-) -> None:
-    """Remake the bundle that comes with roadgrip: simulate, fit, export, bundle.
-
-    The paper's three roads with many vehicles, random roads with a few, automotive sensors, prudent drivers.
-    """
-    terms = Terms("mixed", seed, SensorGrade.AUTOMOTIVE)
-    size = Size(runs, random_roads_count=random_roads, random_runs_count=DEFAULT_RANDOM_RUNS_COUNT)
-    command = f"roadgrip-train default-bundle --runs {runs} --random-roads {random_roads} --seed {seed}"
-    folder = work / "runs"
-    driven = drive(named_design("mixed", terms, size), folder, workers=workers, command=command)
-    fitted = _fit(driven, DEFAULT_FIT)
-    manifest = _bundle(driven, fitted, out, name=BUNDLE_NAME, command=command, parameters=DEFAULT_FIT)
-    if not as_json:
-        print_cells(driven, cells_of(driven), title=title_of(folder))
     _print_bundle(manifest, out, as_json=as_json)
 
 
@@ -227,6 +181,14 @@ def _leave(reason: str) -> NoReturn:
     raise SystemExit(2)
 
 
+def _table_of_version(number: int) -> FeatureTable:
+    spoken = {table.version: table for table in TABLES.values()}
+    if number not in spoken:
+        known = ", ".join(str(each) for each in sorted(spoken))
+        raise typer.BadParameter(f"no feature table {number}; there are {known}", param_hint="--table")
+    return spoken[number]
+
+
 def _fit(runs: Runs, parameters: FitParameters) -> Fitted:
     from training.regressor import FEWEST_ROADS, ROAD_FOLDS_COUNT, fit, mape_ratio_on_unseen_roads
 
@@ -245,21 +207,8 @@ def _bundle(
 ) -> BundleManifest:
     from training.bundling import write_bundle
 
-    tools = ("roadgrip", "numpy", "xgboost-cpu", "onnx", "onnxmltools", "onnxruntime")
-    provenance = {
-        "command": command,
-        "fit_parameters": str(parameters),
-        "python": platform.python_version(),
-        **{f"version.{tool}": _version_of(tool) for tool in tools},
-    }
+    provenance = {"command": command, "fit_parameters": str(parameters), **tools_provenance()}
     return write_bundle(runs, fitted, out, name=name, provenance=provenance, rng=np.random.default_rng(parameters.seed))
-
-
-def _version_of(distribution: str) -> str:
-    try:
-        return version(distribution)
-    except ModuleNotFoundError:
-        return "not installed under this name"
 
 
 def _print_metrics(metrics: dict[str, float], *, as_json: bool) -> None:

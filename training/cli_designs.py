@@ -72,7 +72,7 @@ def simulate(
         int, typer.Option(metavar="N", min=0, help="Random roads of the designs that have some.")
     ] = 30,
     random_runs: Annotated[
-        int, typer.Option(metavar="N", min=1, help="Runs per base friction on each random road of the mixed design.")
+        int, typer.Option(metavar="N", min=1, help="Runs per base friction on each random road of the mixed designs.")
     ] = 4,
     seed: Seed = DEFAULT_SEED,
     workers: Workers = None,
@@ -285,9 +285,9 @@ def _command(design: Design, size: Size, sections: list[Path], *, raw: bool) -> 
     words = ["roadgrip-train simulate"]
     words += [f"--section {path.name}" for path in sections] or [f"--design {design.name}"]
     words += [f"--sensors {terms.sensor_grade.value} --driver {terms.driver_kind.value} --runs {size.runs_count}"]
-    if design.name in {"random-roads", "mixed"}:
+    if design.name in {"random-roads", "random-roads-fleet", "mixed", "mixed-speeds", "any-speed"}:
         words.append(f"--random-roads {size.random_roads_count}")
-    if design.name == "mixed":
+    if design.name in {"mixed", "mixed-speeds", "any-speed"}:
         words.append(f"--random-runs {size.random_runs_count}")
     words.append(f"--seed {terms.seed}")
     return " ".join([*words, *(["--raw"] if raw else [])])

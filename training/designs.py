@@ -144,6 +144,13 @@ def _any_speed(size: Size, seed: int) -> tuple[Scenario, ...]:
     return tuple(replace(scenario, any_speed=True) for scenario in _mixed(size, seed))
 
 
+def _mixed_speeds(size: Size, seed: int) -> tuple[Scenario, ...]:
+    # A drive of any speed for every four usual ones.
+    fewer = replace(size, runs_count=-(-size.runs_count // 4), random_runs_count=-(-size.random_runs_count // 4))
+    other = tuple(replace(scenario, name=f"{scenario.name}-any-speed") for scenario in _any_speed(fewer, seed))
+    return _mixed(size, seed) + other
+
+
 DESIGNS: Mapping[str, NamedDesign] = {
     "paper": NamedDesign("the paper's test matrix: four scenarios at 11 base frictions, kept runs per cell", _paper),
     "varied-vehicles": NamedDesign(
@@ -168,5 +175,8 @@ DESIGNS: Mapping[str, NamedDesign] = {
     "any-speed": NamedDesign(
         "the mixed roads with drivers of any speed, slow or fast whatever the friction", _any_speed
     ),
-    "mixed": NamedDesign("the paper's three roads and random ones, attempts per cell; the default bundle's", _mixed),
+    "mixed": NamedDesign("the paper's three roads and random ones, attempts per cell", _mixed),
+    "mixed-speeds": NamedDesign(
+        "the mixed roads by usual drivers, and by a quarter as many of any speed; the default bundle's", _mixed_speeds
+    ),
 }

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import xgboost
 
+from roadgrip.features import FeatureTable, table_of
 from training.dataset import DatasetError, Runs
-from training.fit_parameters import FitParameters
+from training.fit_parameters import FitParameters, Target
 from training.regressor import Fitted, split_rows
 
 _TREES_NAME = "trees.ubj"
@@ -27,7 +28,12 @@ def write_fit(fitted: Fitted, folder: Path, *, runs: Runs, parameters: FitParame
     """
     folder.mkdir(parents=True, exist_ok=True)
     fitted.booster.save_model(folder / _TREES_NAME)
-    record = {"dataset_digest": runs.digest(), "parameters": asdict(parameters), "metrics": fitted.metrics}
+    record = {
+        "dataset_digest": runs.digest(),
+        "table_digest": runs.table.digest,
+        "parameters": asdict(parameters),
+        "metrics": fitted.metrics,
+    }
     (folder / _RECORD_NAME).write_text(json.dumps(record, indent=1, sort_keys=True) + "\n", encoding="utf-8")
 
 
@@ -46,6 +52,21 @@ def read_trees(folder: Path) -> xgboost.Booster:
         raise DatasetError(f"{path} holds no trees") from error
 
 
+def fitted_table(folder: Path) -> FeatureTable:
+    """Return the feature table that the regressor in a folder was fitted to.
+
+    Raises:
+        DatasetError: Nothing was fitted there.
+        FeatureTableError: It was fitted to a table that is not spoken here.
+    """
+    path = folder / _RECORD_NAME
+    try:
+        digest = str(json.loads(path.read_text(encoding="utf-8"))["table_digest"])
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise DatasetError(f"{path} does not say how the trees were fitted: {error}") from error
+    return table_of(digest, subject=str(path))
+
+
 def read_fit(folder: Path, *, runs: Runs) -> tuple[Fitted, FitParameters]:
     """Return a fitted regressor with the split it was judged by, and how it was fitted.
 
@@ -59,7 +80,8 @@ def read_fit(folder: Path, *, runs: Runs) -> tuple[Fitted, FitParameters]:
     trees = read_trees(folder)
     try:
         record = json.loads((folder / _RECORD_NAME).read_text(encoding="utf-8"))
-        parameters = FitParameters(**record["parameters"])
+        given = record["parameters"]
+        parameters = FitParameters(**{**given, "target": Target(given["target"])})
         fitted_to, metrics = str(record["dataset_digest"]), dict(record["metrics"])
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise DatasetError(f"{folder / _RECORD_NAME} does not say how the trees were fitted: {error}") from error

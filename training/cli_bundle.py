@@ -1,0 +1,242 @@
+"""`roadgrip-train default-bundle` and `card`: the bundle that comes with roadgrip, and what a bundle says of itself."""
+
+from __future__ import annotations
+
+import json
+import platform
+from collections.abc import Mapping
+from functools import partial
+from importlib.metadata import version
+from importlib.resources import files
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+import typer
+from rich.progress import Progress, TaskID
+
+from roadgrip.bundle import MANIFEST_NAME, BundleManifest, manifest_from_json
+from roadgrip.errors import BundleError
+from training.bundle_card import CARD_NAME, card_of
+from training.cells import cells_of
+from training.cli_designs import (
+    DEFAULT_SEED,
+    AsJson,
+    RunsCount,
+    Seed,
+    Workers,
+    drive,
+    print_cells,
+    progress_bar,
+    title_of,
+)
+from training.dataset import Runs
+from training.designs import Size, named_design
+from training.fit_parameters import FitParameters
+from training.marked_tables import marks_of, with_tables
+from training.scenarios import Terms
+from vehicle_client.simulator.plan import SensorGrade
+
+# Trees and mixtures take seconds to import: they are where they are needed.
+if TYPE_CHECKING:
+    from training.table_models import GrownModel, LearnedDrives, TablePlan
+
+BUNDLE_NAME = "roadgrip-global"
+DEFAULT_BUNDLE_FOLDER = Path(str(files("rsu_app") / "default_bundle"))
+DEFAULT_RUNS_COUNT = 200
+DEFAULT_RANDOM_ROADS_COUNT = 240
+RANDOM_RUNS_COUNT = 2
+FEWEST_RANDOM_ROADS = 10
+FRESH_ROADS_SHARE = 1 / 6
+"""Roads that only judge, for every random road that is learned from."""
+FEWEST_FRESH_ROADS = 4
+FRESH_RUNS_COUNT = 2
+DESIGN_NAME = "mixed-speeds"
+_TOOLS = ("roadgrip", "numpy", "scikit-learn", "xgboost-cpu", "onnx", "onnxmltools", "onnxruntime")
+_INTENDED_USE = (
+    "the demo, and a first unit on a curve of an ordinary rural road. It is a starting point for a road authority's "
+    "own model, not a substitute for one"
+)
+_LIMITS = (
+    "learned from simulated drives alone, of one kind of car (an XC90) that declares its masses and tyres rightly, on "
+    "maps as surveyed; a car that uses little of the grip there is says little about how much there would be"
+)
+
+
+def default_bundle(
+    *,
+    out: Annotated[
+        Path, typer.Option("--out", help="Folder for the bundle.", show_default="the packaged bundle's")
+    ] = DEFAULT_BUNDLE_FOLDER,
+    work: Annotated[Path, typer.Option("--work", help="Folder for the runs; goes on where it was.")] = Path(
+        "build/default-bundle"
+    ),
+    runs: RunsCount = DEFAULT_RUNS_COUNT,
+    random_roads: Annotated[
+        int, typer.Option(min=FEWEST_RANDOM_ROADS, help="Random roads.")
+    ] = DEFAULT_RANDOM_ROADS_COUNT,
+    seed: Seed = DEFAULT_SEED,
+    workers: Workers = None,
+    as_json: AsJson = False,
+) -> None:
+    """Remake the bundle that comes with roadgrip: simulate, fit, judge, export, bundle.
+
+    The paper's three roads with many vehicles, random roads with a few, drivers of any speed among them, automotive
+    sensors. A model for each feature table, each with the error to expect of it. Other random roads only judge.
+    """
+    from training.table_models import best_plan, learned_drives, paper_plan
+
+    command = f"roadgrip-train default-bundle --runs {runs} --random-roads {random_roads} --seed {seed}"
+    size = Size(runs, random_roads_count=random_roads, random_runs_count=RANDOM_RUNS_COUNT)
+    fresh_size = Size(
+        FRESH_RUNS_COUNT, random_roads_count=max(FEWEST_FRESH_ROADS, round(FRESH_ROADS_SHARE * random_roads))
+    )
+    design = named_design(DESIGN_NAME, Terms(DESIGN_NAME, seed, SensorGrade.AUTOMOTIVE), size)
+    driven = drive(design, work / "runs", workers=workers, command=command)
+    fresh = {
+        # Other roads than those above; under both grades the same drives.
+        grade: drive(
+            named_design("random-roads", Terms("random-roads", seed + 1, grade), fresh_size),
+            work / f"fresh-{grade.value}",
+            workers=workers,
+            command=command,
+        )
+        for grade in SensorGrade
+    }
+    learned = learned_drives(driven, seed=FitParameters().seed)
+    plans = (best_plan(seed=FitParameters().seed), paper_plan(FitParameters()))
+    manifest = _made(
+        learned,
+        plans,
+        {grade: some.rows(np.flatnonzero(some.usable)) for grade, some in fresh.items()},
+        out,
+        provenance={
+            "command": command,
+            "intended_use": _INTENDED_USE,
+            "limits": _LIMITS,
+            "learned_from": _learned_from(driven, size),
+            "failed": _failed(driven),
+            "judged_on": (
+                "drives on the three roads by regressors that had not seen the drive, on random roads by such that had "
+                f"not seen the road; {fresh_size.random_roads_count} fresh roads by the finished models"
+            ),
+            "dataset_digest": driven.digest(),
+        },
+    )
+    if as_json:
+        typer.echo(json.dumps({"bundle_id": manifest.bundle_id, "folder": str(out), "metrics": manifest.metrics}))
+        return
+    print_cells(driven, cells_of(driven), title=title_of(work / "runs"))
+    typer.echo(f"{card_of(manifest)}\nbundle {manifest.name} {manifest.bundle_id} in {out}")
+
+
+def card(
+    bundle: Annotated[Path, typer.Argument(metavar="BUNDLE", help="Folder of a bundle.")],
+    *,
+    into: Annotated[
+        Path | None, typer.Option("--into", metavar="PAGE", help="Write it between the marks of this page instead.")
+    ] = None,
+) -> None:
+    """Print the card of a bundle as Markdown: what it is for, what it learned from, how good it is and where not.
+
+    Example: roadgrip-train card build/bundle
+    """
+    path = bundle / MANIFEST_NAME
+    if not path.is_file():
+        raise BundleError(f"no bundle in {bundle}: it has no {MANIFEST_NAME}")
+    text = card_of(manifest_from_json(path.read_text(encoding="utf-8")))
+    if into is None:
+        typer.echo(text)
+        return
+    page = into.read_text(encoding="utf-8")
+    if CARD_NAME not in marks_of(page):
+        raise BundleError(f"{into} has no marks of the table {CARD_NAME}")
+    into.write_text(with_tables(page, {CARD_NAME: text}.get), encoding="utf-8")
+
+
+def tools_provenance() -> dict[str, str]:
+    """Return what a bundle was made with."""
+    return {"python": platform.python_version(), **{f"version.{tool}": _version_of(tool) for tool in _TOOLS}}
+
+
+def _made(
+    learned: LearnedDrives,
+    plans: tuple[TablePlan, ...],
+    fresh: Mapping[SensorGrade, Runs],
+    out: Path,
+    *,
+    provenance: dict[str, str],
+) -> BundleManifest:
+    """Return the manifest of the bundle that was grown, judged and written, behind progress bars."""
+    from training.bundling import write_models
+    from training.table_figures import figures_of, fresh_figures, parts_of, strange_figures
+    from training.table_models import grown_model, ordinary_driving, steps_count
+
+    seed = plans[0].parameters.seed
+    metrics: dict[str, float] = {}
+    with progress_bar() as bar:
+        models: list[GrownModel] = []
+        for plan in plans:
+            title = f"growing trees of {len(plan.features)} features on {len(learned.runs)} drives, {plan.version}"
+            task = bar.add_task(title, total=steps_count(), rate="")
+            models.append(grown_model(learned, plan, on_step=partial(_show, bar, task)))
+        task = bar.add_task("learning what is ordinary", total=2, rate="")
+        judging = ordinary_driving(learned, seed=seed, without_fold=0)
+        bar.advance(task)
+        ordinary = ordinary_driving(learned, seed=seed)
+        bar.advance(task)
+        task = bar.add_task("judging and exporting", total=None, rate="")
+        parts = parts_of(learned.runs, known=learned.known)
+        metrics |= strange_figures(judging, learned.runs, parts, among=learned.fold == 0)
+        for grade, some in fresh.items():
+            part = f"fresh_roads_{grade.value}"
+            everything = np.ones(len(some), dtype=np.bool_)
+            metrics |= strange_figures(ordinary, some, {part: everything}, among=everything)
+            for model in models:
+                metrics |= fresh_figures(model, some, part=part)
+        for model in models:
+            metrics |= figures_of(model, learned)
+        written = write_models(
+            [
+                model.for_bundle(learned.runs, unseen=fresh[SensorGrade.AUTOMOTIVE], ordinary=ordinary)
+                for model in models
+            ],
+            out,
+            name=BUNDLE_NAME,
+            metrics=metrics,
+            provenance={
+                **provenance,
+                **{f"fit.{plan.version}": str(plan.parameters) for plan in plans},
+                **tools_provenance(),
+            },
+            rng=np.random.default_rng(seed),
+        )
+        bar.update(task, total=1, completed=1)
+    return written
+
+
+def _show(bar: Progress, task: TaskID, done: int) -> None:
+    bar.update(task, completed=done)
+
+
+def _learned_from(driven: Runs, size: Size) -> str:
+    quarter_count, few_count = -(-size.runs_count // 4), -(-size.random_runs_count // 4)
+    return (
+        f"{len(driven)} simulated drives: at each of 11 base frictions the paper's three roads with {size.runs_count} "
+        f"usual vehicles and {quarter_count} of any speed, {size.random_roads_count} random roads with "
+        f"{size.random_runs_count} and {few_count}; one car (an XC90), automotive sensors, maps as surveyed, prudent "
+        "drivers, tyre wear 0.8 to 1"
+    )
+
+
+def _failed(driven: Runs) -> str:
+    failed = sorted(set(driven.outcome) - {"completed"})
+    counts = ", ".join(f"{driven.outcome.count(name)} {name.replace('_', ' ')}" for name in failed)
+    return f"{int((~driven.usable).sum())} drives, from which nothing is learned" + (f": {counts}" if counts else "")
+
+
+def _version_of(distribution: str) -> str:
+    try:
+        return version(distribution)
+    except ModuleNotFoundError:
+        return "not installed under this name"

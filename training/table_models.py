@@ -1,0 +1,261 @@
+"""The model of a feature table with all that a unit must be told of it, and what strangers made of the same drives.
+
+Whoever judges a drive learned nothing from it, and nothing from its road if that is a random one: what error to expect,
+how wide an interval has to be, and the figures of the bundle all come from estimates of such strangers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+import xgboost
+
+from roadgrip.bundle import Conformal, OrdinaryDriving
+from roadgrip.features import NEWEST_TABLE, PAPER_TABLE, FeatureTable
+from roadgrip.units import BoolArray, FloatArray
+from training.bundling import TableModel
+from training.conformal import conformal_of
+from training.dataset import DatasetError, Runs
+from training.designs import PAPER_ROADS
+from training.error_model import LEAST_MU, grow_error_trees, miss_ratio
+from training.fit_parameters import FitParameters
+from training.regressor import RowIndices, estimate_mu, grow_trees
+from training.study.envelopes import Ordinary, learn_whole_envelope
+from training.study.folds import fold_numbers, side_by_side
+from training.study.paper_features import KINEMATIC_FEATURES
+from training.study.recipes import BEST_RECIPE, Boosted
+
+FOLDS_COUNT = 4
+FEWEST_RANDOM_ROADS = 10
+"""Fewer say nothing about the next one."""
+COVERAGE_FRAC = 0.9
+"""How often the interval of a single estimate shall hold the truth."""
+DOUBTFUL_ABOVE_RATIO = 0.15
+"""An estimate with a larger expected error is taken for a lower bound."""
+
+
+@dataclass(frozen=True, slots=True)
+class TablePlan:
+    """How the model of a feature table is grown.
+
+    Attributes:
+        table: The table.
+        features: What the trees see, in this order.
+        parameters: How those of friction are grown.
+    """
+
+    table: FeatureTable
+    features: tuple[str, ...]
+    parameters: FitParameters
+
+    @property
+    def version(self) -> str:
+        """Names the table in figures and files, such as "v1"."""
+        return f"v{self.table.version}"
+
+    @property
+    def column_names(self) -> tuple[str, ...] | None:
+        """The features as a bundle wants to know them: None for the table's own in its order."""
+        return None if self.features == self.table.names else self.features
+
+
+@dataclass(frozen=True, slots=True)
+class LearnedDrives:
+    """Drives to learn from, those with a summary, by their names.
+
+    Attributes:
+        runs: The drives, of the newest feature table.
+        fold: The fold that each is judged in: whole roads of random ones, single drives of known ones. (n,)
+    """
+
+    runs: Runs
+    fold: RowIndices
+
+    @property
+    def known(self) -> BoolArray:
+        """Which were driven on the paper's roads. (n,)"""
+        return np.isin(self.runs.section_id, PAPER_ROADS)
+
+    @property
+    def label_mu(self) -> FloatArray:
+        """The truth. (n,)"""
+        return self.runs.labels["label_mu"]
+
+
+@dataclass(frozen=True, slots=True)
+class Answers:
+    """What models say of drives.
+
+    Attributes:
+        mu: Friction. (n,)
+        expected_error_ratio: Magnitude of the error to expect, on the logarithm. (n,)
+    """
+
+    mu: FloatArray
+    expected_error_ratio: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class GrownModel:
+    """The model of a feature table.
+
+    Attributes:
+        plan: How it was grown.
+        friction: Its trees.
+        error: Those of the error to expect.
+        strangers: What strangers made of the drives it learned from.
+        conformal: What the expected errors mean, by the random roads.
+    """
+
+    plan: TablePlan
+    friction: xgboost.Booster
+    error: xgboost.Booster
+    strangers: Answers
+    conformal: Conformal
+
+    def answers(self, runs: Runs) -> Answers:
+        """Return what the model says of other drives, all of which have a summary."""
+        features = runs.columns(self.plan.features)
+        return Answers(estimate_mu(self.friction, features), estimate_mu(self.error, features))
+
+    def for_bundle(self, learned: Runs, *, unseen: Runs, ordinary: OrdinaryDriving) -> TableModel:
+        """Return what a bundle holds of the model.
+
+        Args:
+            learned: What it learned from.
+            unseen: Drives with a summary that it never saw.
+            ordinary: Roads and driving it is made for.
+        """
+        names = self.plan.column_names
+        return TableModel(
+            table=self.plan.table,
+            friction=self.friction,
+            train_rows=learned.for_table(self.plan.table).features,
+            train_label_mu=learned.labels["label_mu"],
+            unseen_rows=unseen.for_table(self.plan.table).features,
+            error=self.error,
+            conformal=self.conformal,
+            column_names=names,
+            error_column_names=names,
+            ordinary=ordinary,
+        )
+
+
+def best_plan(*, seed: int) -> TablePlan:
+    """Return how the newest table's model is grown: by the study's best recipe."""
+    learn = BEST_RECIPE.learn
+    if not isinstance(learn, Boosted) or learn.relative:
+        raise TypeError("a bundle holds trees of plain squared errors; the best recipe is of another kind")
+    return TablePlan(NEWEST_TABLE, BEST_RECIPE.features, replace(learn.parameters, seed=seed))
+
+
+def paper_plan(parameters: FitParameters) -> TablePlan:
+    """Return how the model of the paper's 78 features is grown."""
+    return TablePlan(PAPER_TABLE, PAPER_TABLE.names, parameters)
+
+
+def learned_drives(runs: Runs, *, seed: int) -> LearnedDrives:
+    """Return the drives to learn from, dealt to folds; the order of the rows changes nothing.
+
+    Raises:
+        DatasetError: There are too few random roads to say anything about the next one.
+    """
+    order = np.argsort(np.array(runs.run_key), kind="stable")
+    usable = runs.rows(order[runs.usable[order]])
+    sections = np.array(usable.section_id)
+    known = np.isin(sections, PAPER_ROADS)
+    names = sorted(set(sections[~known].tolist()))
+    if len(names) < FEWEST_RANDOM_ROADS:
+        message = f"{len(names)} random roads say nothing about the next one; at least {FEWEST_RANDOM_ROADS} are needed"
+        raise DatasetError(message)
+    fold_of = dict(zip(names, fold_numbers(len(names), FOLDS_COUNT, seed=seed).tolist(), strict=True))
+    fold = np.array([fold_of.get(name, 0) for name in sections.tolist()], dtype=np.intp)
+    fold[known] = fold_numbers(int(known.sum()), FOLDS_COUNT, seed=seed)
+    return LearnedDrives(usable, fold)
+
+
+def grown_model(drives: LearnedDrives, plan: TablePlan, *, on_step: Callable[[int], None] | None = None) -> GrownModel:
+    """Return the model of a table, with what error to expect of it and what that means.
+
+    Args:
+        drives: What to learn from.
+        plan: How.
+        on_step: Called with the number of steps that are done, of `steps_count()`.
+    """
+    features, label_mu, fold = drives.runs.columns(plan.features), drives.label_mu, drives.fold
+    mu, expected = np.full(len(features), np.nan), np.full(len(features), np.nan)
+    whole: list[xgboost.Booster] = []
+
+    def grow(rows: BoolArray) -> xgboost.Booster:
+        return grow_trees(features[rows], label_mu[rows], plan.parameters, threads_count=1)
+
+    def judge(number: int) -> None:
+        out = fold == number
+        mu[out] = estimate_mu(grow(~out), features[out], threads_count=1)
+
+    def expect(number: int) -> None:
+        out = fold == number
+        trees = grow_error_trees(features[~out], miss[~out], threads_count=1)
+        expected[out] = estimate_mu(trees, features[out], threads_count=1)
+
+    everything = np.ones(len(features), dtype=np.bool_)
+    jobs: list[Callable[[], None]] = [
+        lambda: whole.append(grow(everything)),
+        *(partial(judge, number) for number in range(FOLDS_COUNT)),
+    ]
+    side_by_side(jobs, on_done=on_step)
+    miss = miss_ratio(mu, label_mu)
+    report = on_step or (lambda _: None)
+    jobs = [
+        lambda: whole.append(grow_error_trees(features, miss, threads_count=1)),
+        *(partial(expect, number) for number in range(FOLDS_COUNT)),
+    ]
+    side_by_side(jobs, on_done=lambda done: report(FOLDS_COUNT + 1 + done))
+    strangers, random = Answers(mu, expected), ~drives.known
+    return GrownModel(
+        plan=plan,
+        friction=whole[0],
+        error=whole[1],
+        strangers=strangers,
+        conformal=calibrated(strangers, label_mu, rows=random),
+    )
+
+
+def steps_count() -> int:
+    """Return how many steps `grown_model` takes."""
+    return 2 * (FOLDS_COUNT + 1)
+
+
+def calibrated(answers: Answers, label_mu: FloatArray, *, rows: BoolArray) -> Conformal:
+    """Return what expected errors mean by some of the rows. `label_mu`, `rows`: (n,)"""
+    return conformal_of(
+        label_mu[rows],
+        np.maximum(answers.mu[rows], LEAST_MU),
+        answers.expected_error_ratio[rows],
+        coverage_frac=COVERAGE_FRAC,
+        doubtful_above_ratio=DOUBTFUL_ABOVE_RATIO,
+    )
+
+
+def ordinary_driving(drives: LearnedDrives, *, seed: int, without_fold: int | None = None) -> OrdinaryDriving:
+    """Return which roads and which driving are ordinary by the drives: the same for every table, as they share these.
+
+    Args:
+        drives: What to learn from.
+        seed: See `learn_whole_envelope`.
+        without_fold: A fold to keep out, so that it can judge.
+    """
+    names = PAPER_TABLE.names
+    values, sections = drives.runs.columns(names), np.array(drives.runs.section_id)
+    learned = np.ones(len(values), dtype=np.bool_) if without_fold is None else drives.fold != without_fold
+    known, random = learned & drives.known, learned & ~drives.known
+    roads: Sequence[str] = sections[random].tolist()
+    return learn_whole_envelope(
+        Ordinary(values[known], values[random], tuple(roads), names),
+        road_columns=[feature.name for feature in PAPER_TABLE.road],
+        driving_columns=KINEMATIC_FEATURES,
+        seed=seed,
+    )
