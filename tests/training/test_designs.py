@@ -63,3 +63,12 @@ def test_the_mixed_design_has_the_papers_roads_with_many_vehicles_and_random_one
     assert len(made.scenarios) == 123
     counts = [s.quota for s in made.scenarios]
     assert counts == [Quota(250)] * 3 + [Quota(4)] * 120
+
+
+def test_the_mixed_speeds_add_a_quarter_of_drives_at_any_speed_to_every_road() -> None:
+    made = design("mixed-speeds", Size(10, random_roads_count=3, random_runs_count=2))
+    usual, other = made.scenarios[:6], made.scenarios[6:]
+    assert [s.section for s in usual] == [s.section for s in other]
+    assert not any(s.any_speed for s in usual)
+    assert all(s.any_speed and s.name.endswith("-any-speed") for s in other)
+    assert [s.quota for s in other] == [Quota(3)] * 3 + [Quota(1)] * 3
