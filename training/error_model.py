@@ -26,7 +26,7 @@ LEAST_MU = 1e-3
 """Trees of friction may come out below zero, where there is no logarithm."""
 
 
-def miss_ratio(estimate_mu: FloatArray, label_mu: FloatArray) -> FloatArray:
+def log_error_ratio(estimate_mu: FloatArray, label_mu: FloatArray) -> FloatArray:
     """Return how far estimates are off, on the logarithm: to first order relative to the truth. (n,)
 
     Args:
@@ -37,7 +37,7 @@ def miss_ratio(estimate_mu: FloatArray, label_mu: FloatArray) -> FloatArray:
 
 
 def grow_error_trees(
-    features: FloatArray, miss: FloatArray, parameters: FitParameters = ERROR_FIT, *, threads_count: int = 0
+    features: FloatArray, error_ratio: FloatArray, parameters: FitParameters = ERROR_FIT, *, threads_count: int = 0
 ) -> xgboost.Booster:
     """Return boosted trees of the magnitude of error to expect; `training.regressor.estimate_mu` asks them.
 
@@ -46,7 +46,7 @@ def grow_error_trees(
 
     Args:
         features: What to learn from. (n, columns)
-        miss: From `miss_ratio`, of estimates by regressors that did not learn from the passage. (n,)
+        error_ratio: From `log_error_ratio`, of estimates by regressors that did not learn from the passage. (n,)
         parameters: How the trees are grown; the target is a logarithm.
         threads_count: At most so many; 0 takes what there is.
 
@@ -54,11 +54,11 @@ def grow_error_trees(
         McCullagh, Nelder, Generalized Linear Models, 1989, section 8.3.
     """
     rows = xgboost.QuantileDMatrix(
-        features.astype(np.float32), label=miss, max_bin=parameters.bins_count, nthread=threads_count or None
+        features.astype(np.float32), label=error_ratio, max_bin=parameters.bins_count, nthread=threads_count or None
     )
 
-    def gradients(margin: FloatArray, grown_on: xgboost.DMatrix) -> tuple[FloatArray, FloatArray]:
-        gradient = 1.0 - grown_on.get_label() * np.exp(-margin)
+    def gradients(log_mean_ratio: FloatArray, grown_on: xgboost.DMatrix) -> tuple[FloatArray, FloatArray]:
+        gradient = 1.0 - grown_on.get_label() * np.exp(-log_mean_ratio)
         return gradient, np.ones_like(gradient)
 
     booster = xgboost.train(
@@ -71,7 +71,7 @@ def grow_error_trees(
             "max_bin": parameters.bins_count,
             "seed": parameters.seed,
             "nthread": threads_count,
-            "base_score": float(np.log(np.mean(miss))),
+            "base_score": float(np.log(np.mean(error_ratio))),
             "min_child_weight": 5.0,
         },
         rows,

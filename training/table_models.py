@@ -20,7 +20,7 @@ from training.bundling import TableModel
 from training.conformal import conformal_of
 from training.dataset import DatasetError, Runs
 from training.designs import PAPER_ROADS
-from training.error_model import LEAST_MU, grow_error_trees, miss_ratio
+from training.error_model import LEAST_MU, grow_error_trees, log_error_ratio
 from training.fit_parameters import FitParameters
 from training.regressor import RowIndices, estimate_mu, grow_trees
 from training.study.envelopes import Ordinary, learn_whole_envelope
@@ -207,7 +207,7 @@ def grown_model(drives: LearnedDrives, plan: TablePlan, *, on_step: Callable[[in
         *(partial(judge, number) for number in range(FOLDS_COUNT)),
     ]
     side_by_side(jobs, on_done=on_step)
-    miss = miss_ratio(mu, label_mu)
+    miss = log_error_ratio(mu, label_mu)
     report = on_step or (lambda _: None)
     jobs = [
         lambda: whole.append(grow_error_trees(features, miss, threads_count=1)),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from training.error_model import grow_error_trees, miss_ratio
+from training.error_model import grow_error_trees, log_error_ratio
 from training.fit_parameters import Target
 from training.regressor import estimate_mu, target_of
 
@@ -38,6 +38,6 @@ def test_trees_of_the_error_say_that_they_add_up_to_a_logarithm() -> None:
 
 
 def test_a_miss_is_as_large_upwards_as_downwards_and_finite_for_an_estimate_of_none() -> None:
-    miss = miss_ratio(np.array([0.2, 0.8, -0.1]), np.array([0.4, 0.4, 0.4]))
+    miss = log_error_ratio(np.array([0.2, 0.8, -0.1]), np.array([0.4, 0.4, 0.4]))
     assert miss[0] == pytest.approx(miss[1])
     assert np.isfinite(miss).all()
