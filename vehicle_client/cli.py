@@ -21,6 +21,7 @@ COMMANDS = {
     "survey": "vehicle_client.cli_recording",
     "drive": "vehicle_client.cli_drive",
     "live": "vehicle_client.cli_live",
+    "memory": "vehicle_client.cli_memory",
 }
 """Name of each command's function, and the module that holds it, in the order of the help."""
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from roadgrip.errors import ConfigurationError
-from vehicle_client.cli_options import SigningKey, TrustedKeys
+from vehicle_client.cli_options import Memory, SigningKey, TrustedKeys
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -73,6 +73,7 @@ def live(  # noqa: PLR0917 - typer reads options by name
     ] = 60.0,
     spool: Annotated[Path, typer.Option(help="Folder for summaries that wait for a unit.")] = Path("roadgrip-spool"),
     spool_capacity: Annotated[int, typer.Option(min=1, max=10_000, help="Summaries that wait at most.")] = 100,
+    memory: Memory = None,
     dashboard: Annotated[
         str, typer.Option(help="Where advice is told: path of a Unix socket, tcp://127.0.0.1:PORT, or `none`.")
     ] = DEFAULT_DASHBOARD,
@@ -123,6 +124,7 @@ def live(  # noqa: PLR0917 - typer reads options by name
             spool_capacity_count=spool_capacity,
             counters_period_s=counters_every,
             once=once,
+            memory_file=memory,
         )
         send_advice = None if advisory_can is None else _sender(stack, advisory_can, advisory_id)
         asyncio.run(_run(settings, source, send_advice))

@@ -52,6 +52,14 @@ Vehicle = Annotated[
         "--vehicle", metavar="FILE", help="The car that was driven; left out, what --signals or --format say of it."
     ),
 ]
+Memory = Annotated[
+    Path | None,
+    typer.Option(
+        "--memory",
+        metavar="FILE",
+        help="The car remembers here what its sensors and tyres are like, and goes by it; left out, it learns nothing.",
+    ),
+]
 BaseFriction = Annotated[
     float,
     typer.Option(

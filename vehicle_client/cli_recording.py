@@ -17,6 +17,7 @@ from vehicle_client.cli_options import (
     DEFAULT_UNIT,
     AsJson,
     Format,
+    Memory,
     Section,
     Signals,
     SigningKey,
@@ -31,10 +32,12 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from roadgrip.section import RoadSection
+    from vehicle_client.estimation.grip.memory import CarMemory
     from vehicle_client.shell.keys import Keys
     from vehicle_client.shell.recorded import RecordedDrive
     from vehicle_client.shell.replay import Replay
     from vehicle_client.shell.uplink import UnitAddress
+    from vehicle_client.vehicle_profile import VehicleProfile
 
 FromS = Annotated[float, typer.Option("--from", min=0.0, help="Seconds of the recording to leave out.")]
 ToS = Annotated[float, typer.Option("--to", min=0.0, help="Second at which to stop.")]
@@ -44,7 +47,9 @@ Recorded = Annotated[
 
 
 def replay(  # noqa: PLR0917 - typer reads options by name
-    recording: Recorded,
+    recordings: Annotated[
+        list[Path], typer.Argument(help="CAN logs, CSV or Parquet files of one car, in the order they were driven.")
+    ],
     section: Section = "long-turn",
     rsu: Unit = DEFAULT_UNIT,
     mapping: Signals = "",
@@ -52,38 +57,49 @@ def replay(  # noqa: PLR0917 - typer reads options by name
     recording_format: Format = RecordingFormat.ROADGRIP,
     from_s: FromS = 0.0,
     to_s: ToS = inf,
+    memory: Memory = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Summarise only; send nothing.")] = False,
     signing_key: SigningKey = None,
     trusted_key: TrustedKeys = None,
     as_json: AsJson = False,
 ) -> None:
-    """Send a recorded drive as if it had just ended.
+    """Send recorded drives as if each had just ended.
 
-    Reads the recording, finds the section in it, shows the match and the summary, and sends it to a unit. If the unit
-    has a newer map, that one is fetched and the recording summarised again. Exit code 1 if there is no passage in the
-    recording, or the unit does not acknowledge it.
+    Reads a recording, finds the section in it, shows the match and the summary, and sends it to a unit. If the unit
+    has a newer map, that one is fetched and the recording summarised again. With `--memory` the car learns from drive
+    to drive, sent or not. Exit code 1 if a recording holds no passage, or the unit does not acknowledge it.
     """
     from rich.console import Console
 
     from vehicle_client.estimation.trace import part_of
+    from vehicle_client.shell.car_memory import memory_of
     from vehicle_client.shell.keys import read_keys
     from vehicle_client.shell.replay import replay_table, replay_to_json, summarise_recording
     from vehicle_client.shell.uplink import parse_unit_address
 
     keys = read_keys(signing_key, trusted_key or [])
     address = parse_unit_address(rsu)
-    drive = _read(recording, RecordedAs(recording_format, mapping, vehicle))
-    trace = part_of(drive.recording.trace, from_s=from_s, to_s=to_s)
-    road = asyncio.run(road_of(section, address, keys))
-    summarise = partial(summarise_recording, trace, vehicle=drive.vehicle)
-    replayed = summarise(road)
-    if not dry_run:
-        replayed = asyncio.run(_sent(replayed, address, keys, summarise))
+    road: RoadSection | None = None
+    shown, went_well = [], True
+    for recording in recordings:
+        drive = _read(recording, RecordedAs(recording_format, mapping, vehicle))
+        trace = part_of(drive.recording.trace, from_s=from_s, to_s=to_s)
+        before = None if memory is None else memory_of(memory, drive.vehicle)
+        if road is None:
+            road = asyncio.run(road_of(section, address, keys))
+        summarise = partial(summarise_recording, trace, vehicle=drive.vehicle, memory=before)
+        replayed = summarise(road)
+        if not dry_run:
+            replayed = asyncio.run(_sent(replayed, address, keys, summarise))
+        road, went_well = replayed.section, went_well and replayed.went_well
+        after = None if memory is None or before is None else _remembered(memory, replayed, drive.vehicle, before)
+        if as_json:
+            shown.append(replay_to_json(replayed, memory=after))
+        else:
+            Console().print(replay_table(replayed, memory=after))
     if as_json:
-        print(json.dumps(replay_to_json(replayed), indent=1))
-    else:
-        Console().print(replay_table(replayed))
-    raise typer.Exit(0 if replayed.went_well else 1)
+        print(json.dumps(shown[0] if len(shown) == 1 else shown, indent=1))
+    raise typer.Exit(0 if went_well else 1)
 
 
 def survey(  # noqa: PLR0917 - typer reads options by name
@@ -221,6 +237,22 @@ def _progress(path: Path) -> Iterator[Callable[[int, float], None]]:
 
     with Console(stderr=True).status(f"reading {path.name}") as status:
         yield lambda frames_count, _: status.update(f"reading {path.name}: {frames_count} frames")
+
+
+def _remembered(path: Path, replayed: Replay, vehicle: VehicleProfile, before: CarMemory) -> CarMemory:
+    """Return what the car knows of itself after a drive, which is in its file then."""
+    from vehicle_client.pipeline import Summarised
+    from vehicle_client.shell.car_memory import keep_memory, learned
+
+    if not isinstance(replayed.made, Summarised):
+        return before
+    after = learned(replayed.made, vehicle, memory=before, seen_with=before)
+    if after is not before:
+        try:
+            keep_memory(path, after, vehicle)
+        except OSError as error:
+            raise ConfigurationError(f"cannot write {path}: {error.strerror or error}") from error
+    return after
 
 
 async def _sent(

@@ -19,10 +19,14 @@ stiffness_ratio = 14.99
 
 [noise]               # `GripNoise`: that of a production car's sensors where nothing is said
 steer_rad = 0.0006
+
+[memory]              # for a car that learns what it is like
+handling_std_ratio = 0.1  # how well [handling] is known
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import tomllib
@@ -41,6 +45,9 @@ _Record = TypeVar("_Record", VehicleGeometry, ObserverParameters, Handling, Tyre
 _DIVIDES = {"roll_crossover_hz", "mass_kg", "yaw_inertia_kgm2"}
 _ZERO_IS_FINE = {"relaxation_m", "rolling_resistance_ratio", "level_gain_ratio"}
 _SHARES = {"front_drive_frac", "front_brake_frac", "level_gain_ratio"}
+HANDLING_STD_RATIO = 0.1
+"""Of constants from a car's papers and the class of its tyres."""
+_HANDLING_STD_RANGE = (1e-4, 0.5)
 _COSINE_MIN_RATIO = 0.5
 """A sensor that lies on its side does not feel what is asked of it."""
 
@@ -55,6 +62,7 @@ class VehicleProfile:
         parameters: Constants of the estimation, which belong to a vehicle.
         handling: Masses, load shift and tyres, for the physical inverse.
         noise: How far the physical inverse trusts the sensors.
+        handling_std_ratio: How well masses, springs and tyres are known, one standard deviation, for a car that learns.
     """
 
     name: str
@@ -62,6 +70,7 @@ class VehicleProfile:
     parameters: ObserverParameters = XC90_PARAMETERS
     handling: Handling = XC90_HANDLING
     noise: GripNoise = AUTOMOTIVE_NOISE
+    handling_std_ratio: float = HANDLING_STD_RATIO
 
 
 PAPER_VEHICLE = VehicleProfile(name="Volvo XC90 2015", geometry=XC90)
@@ -83,10 +92,11 @@ def profile_of_toml(text: str, *, place: str) -> VehicleProfile:
         table = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise ConfigurationError(f"{place} is no TOML: {error}") from error
-    unknown = sorted(set(table) - {"name", "geometry", "observer", "handling", "noise"})
+    unknown = sorted(set(table) - {"name", "geometry", "observer", "handling", "noise", "memory"})
     if unknown:
         raise ConfigurationError(
-            f"{place}: unknown {', '.join(unknown)}; a vehicle has name, [geometry], [observer], [handling], [noise]"
+            f"{place}: unknown {', '.join(unknown)}; a vehicle has name, [geometry], [observer], [handling], [noise], "
+            "[memory]"
         )
     name = table.get("name", place)
     if not isinstance(name, str):
@@ -97,6 +107,7 @@ def profile_of_toml(text: str, *, place: str) -> VehicleProfile:
         parameters=_record_of(ObserverParameters, table.get("observer", {}), place=f"{place} [observer]"),
         handling=_handling_of(table.get("handling", {}), place=f"{place} [handling]"),
         noise=_record_of(GripNoise, table.get("noise", {}), place=f"{place} [noise]"),
+        handling_std_ratio=_handling_std_ratio(table.get("memory", {}), place=f"{place} [memory]"),
     )
     _check(profile, place=place)
     return profile
@@ -136,7 +147,13 @@ def toml_of_profile(profile: VehicleProfile) -> str:
         lines += ["", f"[{title}]"]
         values = {field.name: getattr(record, field.name) for field in fields(record)}
         lines += [f"{key} = {_written(value)}" for key, value in values.items() if not isinstance(value, TyreCurve)]
+    lines += ["", "[memory]", f"handling_std_ratio = {profile.handling_std_ratio!r}"]
     return "\n".join(lines) + "\n"
+
+
+def vehicle_digest(profile: VehicleProfile) -> str:
+    """Return sixteen hexadecimal characters that change with everything that is declared of a car but its name."""
+    return hashlib.sha256(toml_of_profile(replace(profile, name="")).encode()).hexdigest()[:16]
 
 
 def _check(profile: VehicleProfile, *, place: str) -> None:
@@ -159,6 +176,19 @@ def _check(profile: VehicleProfile, *, place: str) -> None:
                 )
             if field.name in _SHARES and value > 1.0:
                 raise ConfigurationError(f"{place}: {field.name} is {value}, but is a share: at most 1")
+
+
+def _handling_std_ratio(table: object, *, place: str) -> float:
+    if not isinstance(table, dict):
+        raise ConfigurationError(f"{place} is {table!r}, not a table")
+    unknown = sorted(set(table) - {"handling_std_ratio"})
+    if unknown:
+        raise ConfigurationError(f"{place}: unknown {', '.join(unknown)}; it may hold handling_std_ratio")
+    ratio = float(_read("handling_std_ratio", table.get("handling_std_ratio", HANDLING_STD_RATIO), place=place))
+    least, most = _HANDLING_STD_RANGE
+    if not least <= ratio <= most:
+        raise ConfigurationError(f"{place}: handling_std_ratio is {ratio}, not from {least} to {most}")
+    return ratio
 
 
 def _handling_of(table: object, *, place: str) -> Handling:

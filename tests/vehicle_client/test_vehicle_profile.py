@@ -12,7 +12,14 @@ from vehicle_client.estimation.filters import LowPass
 from vehicle_client.estimation.grip.noise import AUTOMOTIVE_NOISE, GripNoise
 from vehicle_client.estimation.handling import XC90_HANDLING, Handling, TyreCurve
 from vehicle_client.estimation.observer import XC90_PARAMETERS, ObserverParameters
-from vehicle_client.vehicle_profile import PAPER_VEHICLE, profile_of_toml, scaled_to, toml_of_profile
+from vehicle_client.estimation.vehicle_geometry import XC90
+from vehicle_client.vehicle_profile import (
+    PAPER_VEHICLE,
+    profile_of_toml,
+    scaled_to,
+    toml_of_profile,
+    vehicle_digest,
+)
 
 SHORTEST = "[geometry]\nwheelbase_m = 2.6\ntrack_m = 1.5\nfront_axle_m = 1.2\n"
 NUMBERS = [field.name for field in fields(ObserverParameters) if field.name != "lowpass"]
@@ -36,11 +43,25 @@ def declared(kind):
     lowpass=st.sampled_from(LowPass),
     handling=declared(Handling),
     noise=declared(GripNoise),
+    handling_std_ratio=st.floats(0.001, 0.5),
 )
-def test_a_vehicle_comes_back_from_its_file(name, values, lowpass, handling, noise):
+def test_a_vehicle_comes_back_from_its_file(values, lowpass, **declared):
     parameters = ObserverParameters(**dict(zip(NUMBERS, values, strict=True)), lowpass=lowpass)
-    profile = replace(PAPER_VEHICLE, name=name, parameters=parameters, handling=handling, noise=noise)
+    profile = replace(PAPER_VEHICLE, parameters=parameters, **declared)
     assert profile_of_toml(toml_of_profile(profile), place="car.toml") == profile
+
+
+def test_a_digest_knows_everything_but_the_name():
+    known = vehicle_digest(PAPER_VEHICLE)
+    assert vehicle_digest(replace(PAPER_VEHICLE, name="our red one")) == known
+    others = [
+        replace(PAPER_VEHICLE, geometry=replace(XC90, track_m=1.6)),
+        replace(PAPER_VEHICLE, parameters=replace(XC90_PARAMETERS, lowpass=LowPass.BUTTERWORTH)),
+        replace(PAPER_VEHICLE, handling=scaled_to(2000.0)),
+        replace(PAPER_VEHICLE, noise=replace(AUTOMOTIVE_NOISE, steer_rad=0.001)),
+        replace(PAPER_VEHICLE, handling_std_ratio=0.02),
+    ]
+    assert len({known, *map(vehicle_digest, others)}) == 6
 
 
 def test_what_is_not_said_is_as_in_the_papers_car():
@@ -86,6 +107,10 @@ def test_what_is_not_said_is_as_in_the_papers_car():
         (SHORTEST + "[handling.tyre]\nstiffness_ratio = 0\n", "stiffness_ratio is 0.0, but must be positive"),
         (SHORTEST + "[handling.tyre]\nrubber = 1\n", "unknown rubber"),
         ("handling = 5\n" + SHORTEST, "not a table"),
+        ("memory = 5\n" + SHORTEST, "not a table"),
+        (SHORTEST + "[memory]\npassages = 5\n", "unknown passages"),
+        (SHORTEST + "[memory]\nhandling_std_ratio = 0\n", "not from 0.0001 to 0.5"),
+        (SHORTEST + '[memory]\nhandling_std_ratio = "well"\n', "not a finite number"),
         (SHORTEST + "[noise]\nsteer_rad = 0\n", "steer_rad is 0.0, but must be positive"),
         (SHORTEST + "[noise]\nlevel_gain_ratio = 1.5\n", "at most 1"),
         (SHORTEST + "[noise]\nloudness = 1\n", "unknown loudness"),

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from roadgrip.section import RoadSection
+    from vehicle_client.estimation.grip.memory import CarMemory
     from vehicle_client.estimation.trace import Trace
     from vehicle_client.shell.exchange import FrameCodec
     from vehicle_client.shell.uplink import Uplink
@@ -58,13 +59,16 @@ class Replay:
         return isinstance(self.made, Summarised) and (self.record is None or self.record.ending is Ending.ACCEPTED)
 
 
-def summarise_recording(trace: Trace, section: RoadSection, *, vehicle: VehicleProfile = PAPER_VEHICLE) -> Replay:
+def summarise_recording(
+    trace: Trace, section: RoadSection, *, vehicle: VehicleProfile = PAPER_VEHICLE, memory: CarMemory | None = None
+) -> Replay:
     """Return what the onboard pipeline makes of a recording, before anything is sent.
 
     Args:
         trace: The recording.
         section: The map to find in it.
         vehicle: The car that was driven.
+        memory: What it had learned of itself.
 
     Raises:
         TraceError: The recording's arrays do not fit each other.
@@ -76,6 +80,7 @@ def summarise_recording(trace: Trace, section: RoadSection, *, vehicle: VehicleP
         parameters=vehicle.parameters,
         handling=vehicle.handling,
         noise=vehicle.noise,
+        memory=memory,
     )
     return Replay(made, ended_s=float(trace.time_s[-1]), section=section)
 
@@ -159,9 +164,10 @@ def receipt_text(record: ExchangeRecord) -> str:
     return f"{record.ending.value}: {tries}{hint}"
 
 
-def replay_to_json(replay: Replay) -> dict[str, Any]:
-    """Return the replay as JSON shows it."""
+def replay_to_json(replay: Replay, *, memory: CarMemory | None = None) -> dict[str, Any]:
+    """Return the replay as JSON shows it, and from how many passages the car has learned if it does."""
     record = replay.record
+    remembered = {} if memory is None else {"memory": {"passages_count": memory.passages_count}}
     return {
         "went_well": replay.went_well,
         "map_version": replay.section.version,
@@ -179,11 +185,12 @@ def replay_to_json(replay: Replay) -> dict[str, Any]:
             "frames_received_count": record.frames_received_count,
             "advised_speed_mps": None if record.advisory is None else record.advisory.speed_mps,
         },
+        **remembered,
     }
 
 
-def replay_table(replay: Replay) -> Table:
-    """Return the replay as a table for a person."""
+def replay_table(replay: Replay, *, memory: CarMemory | None = None) -> Table:
+    """Return the replay as a table for a person, and from how many passages the car has learned if it does."""
     from rich.table import Table
 
     table = Table("what", "value", title="The recording", title_justify="left", show_header=False)
@@ -209,6 +216,8 @@ def replay_table(replay: Replay) -> Table:
         table.add_row("advice on arrival", advice_text(record.advisory))
         table.add_row("receipt", receipt_text(record))
         table.add_row("frames", f"{record.frames_sent_count} sent, {record.frames_received_count} received")
+    if memory is not None:
+        table.add_row("passages learned from", f"{memory.passages_count}")
     return table
 
 

@@ -33,6 +33,7 @@ from vehicle_client.shell.live.attendance import Attendance, Nothing, Report, To
 from vehicle_client.shell.live.cellular import QueryClock, list_sections
 from vehicle_client.shell.live.cockpit import Cockpit, SendAdvice
 from vehicle_client.shell.live.journal import Journal, Write, passage_entry
+from vehicle_client.shell.live.learner import Learner
 from vehicle_client.shell.live.map_store import MapStore
 from vehicle_client.shell.live.ring import Recorded, SampleRing, trace_of
 from vehicle_client.shell.live.source import SourceState
@@ -45,6 +46,7 @@ if TYPE_CHECKING:
 
     from roadgrip.records import Advisory
     from roadgrip.section import RoadSection
+    from vehicle_client.estimation.grip.memory import CarMemory
     from vehicle_client.shell.live.settings import LiveSettings
     from vehicle_client.shell.live.source import Source
     from vehicle_client.shell.uplink import UnitAddress, Uplink
@@ -104,6 +106,7 @@ class LiveClient:
             worker=self._worker,
         )
         self._maps: OrderedDict[str, RoadSection] = OrderedDict()
+        self._learner = Learner(settings.memory_file, settings.vehicle)
         self._map_store = MapStore(settings.spool_folder / MAPS_FOLDER, capacity_count=MAPS_LIMIT_COUNT)
         self._cockpit = Cockpit(
             self._clock,
@@ -166,7 +169,11 @@ class LiveClient:
                 import httpx
 
                 self._http = await stack.enter_async_context(httpx.AsyncClient(timeout=HTTP_TIMEOUT_S))
-            self._journal.say({"event": "started", "spool_waiting_count": len(self._tools.spool), **self._lost()})
+            started = {"event": "started", "spool_waiting_count": len(self._tools.spool), **self._lost()}
+            self._journal.say(started | self._learner.state())
+            for entry in self._learner.notes:
+                self._journal.counts[entry["event"]] += 1
+                self._journal.say(entry)
             await self._work()
             self._journal.say({"event": "stopped", **self.counters()})
 
@@ -181,6 +188,7 @@ class LiveClient:
             "values_unknown": ring.unknown_count,
             "channel_resets": ring.reset_count,
             "ring_bytes": self._ring.size_bytes,
+            **self._learner.state(),
             **self._source.counts(),
             **dict(sorted(self._journal.counts.items())),
         }
@@ -343,7 +351,8 @@ class LiveClient:
         since_s = max(order.since_s, self._ring.time_at(order.since_m))
         recorded = self._ring.cut(since_s=since_s, missing=self._settings.missing)
         self._journal.counts["pipeline_runs"] += 1
-        made = await self._tools.work(summarised, recorded, section, self._settings.vehicle)
+        memory = self._learner.memory
+        made = await self._tools.work(summarised, recorded, section, self._settings.vehicle, memory)
         if isinstance(made, Rejected):
             self._journal.counts[f"pipeline_{made.reason.value}"] += 1
             self._obey(self._around.answer(order.section_id, made.reason, self._moment))
@@ -353,6 +362,13 @@ class LiveClient:
         self._made[attendance] = made
         attendance.settle(Report(made.summary, section, left_at_s=self._clock.now_s() - max(0.0, ago_s)))
         self._obey(self._around.answer(order.section_id, None, self._moment, left_at_s=made.left_at_s))
+        if memory is not None:
+            # Nobody waits for it, and what fails here fails by itself.
+            self._begin(self._learn(made, memory))
+
+    async def _learn(self, made: Summarised, seen_with: CarMemory) -> None:
+        taught = await self._tools.work(self._learner.learn, made, seen_with)
+        self._journal.counts["lessons" if taught else "lessons_without_news"] += 1
 
     async def _attend(self, attendance: Attendance) -> None:
         record = await attendance.run()
@@ -434,7 +450,9 @@ class LiveClient:
         }
 
 
-def summarised(recorded: Recorded, section: RoadSection, vehicle: VehicleProfile) -> Summarised | Rejected:
+def summarised(
+    recorded: Recorded, section: RoadSection, vehicle: VehicleProfile, memory: CarMemory | None = None
+) -> Summarised | Rejected:
     """Return what the pipeline makes of a recording; runs in the worker."""
     trace = trace_of(recorded)
     if trace is None:
@@ -447,6 +465,7 @@ def summarised(recorded: Recorded, section: RoadSection, vehicle: VehicleProfile
             parameters=vehicle.parameters,
             handling=vehicle.handling,
             noise=vehicle.noise,
+            memory=memory,
         )
     except RoadgripError as error:
         return Rejected(Reason.TOO_MANY_GAPS, str(error))

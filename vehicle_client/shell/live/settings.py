@@ -37,6 +37,7 @@ class LiveSettings:
         spool_capacity_count: Summaries that wait at most.
         counters_period_s: How often the counters are logged.
         once: Whether the client ends with its recording.
+        memory_file: Where the car keeps what it learns of itself; None learns nothing.
     """
 
     spool_folder: Path
@@ -51,3 +52,4 @@ class LiveSettings:
     spool_capacity_count: int = CAPACITY_COUNT
     counters_period_s: float = COUNTERS_PERIOD_S
     once: bool = False
+    memory_file: Path | None = None
