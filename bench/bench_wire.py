@@ -14,7 +14,7 @@ import numpy as np
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from bench.measurement import ROADS, cost_s, keep_figures, parser_of, table_of
-from roadgrip.features import NEWEST_TABLE
+from roadgrip.features import NEWEST_TABLE, TABLES
 from roadgrip.frames import exchange_id_of, parse_frame, section_key_of, split_into_frames
 from roadgrip.records import (
     Accepted,
@@ -54,7 +54,7 @@ def exchange_messages(section: RoadSection) -> dict[str, Message]:
     reason, confidence, speed_mps = AdvisoryReason.FRICTION_INTERVAL, Confidence.RECOMMENDED, kph_to_mps(60.0)
     messages: list[Message] = [
         Arrival(passage_id, section.section_id),
-        MapOffer(section, (NEWEST_TABLE.digest,)),
+        MapOffer(section, tuple(TABLES)),
         AdvisoryNotice(
             section.section_id,
             section.version,

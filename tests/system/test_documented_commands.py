@@ -144,8 +144,8 @@ def test_the_page_on_sections_lists_and_draws(project_root, tmp_path):
     block = block_with(project_root / "docs" / "sections.md", "section list")
     shown = run("".join(line + "\n" for line in block.splitlines() if "import" not in line), tmp_path)
     # The page's table of sizes and the program tell one figure.
-    assert "824 bytes in 1 frame" in shown
-    assert "| 824 |" in (project_root / "docs" / "wire.md").read_text(encoding="utf-8")
+    assert "833 bytes in 1 frame" in shown
+    assert "| 833 |" in (project_root / "docs" / "wire.md").read_text(encoding="utf-8")
     assert (tmp_path / "long-turn.png").stat().st_size > 0
 
 
