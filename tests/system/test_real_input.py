@@ -42,5 +42,6 @@ def test_a_recorded_lap_is_found_in_the_map_made_from_another_lap(found):
 def test_the_recorded_drive_is_acknowledged_and_honestly_called_out_of_envelope(found):
     exchange = found["drive"]["replay"]["exchange"]
     assert exchange["ending"] == "accepted"
-    assert exchange["not_counted"] == ["out_of_envelope"]
+    # A race car on a dry track: neither its driving nor its grip is what the model learned from.
+    assert set(exchange["not_counted"]) == {"out_of_envelope", "estimate_out_of_range"}
     assert [passage["counted"] for passage in found["drive"]["stored"]] == [False]
