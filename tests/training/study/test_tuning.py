@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from tests.training.study.generalise.road_drives import FEW, SMALL_BEST, drives_on_roads
+from training.accuracy import mape_ratio
 from training.dataset import DatasetError
 from training.fit_parameters import Target
 from training.study.generalise.features import BestByGain
@@ -94,10 +95,12 @@ def test_no_trial_begins_after_the_limit(tmp_path):
 
 
 def test_what_is_found_can_be_grown(searched):
-    parameters = searched[0].learn.parameters
-    assert 1 <= parameters.trees_count <= MOST_TREES_COUNT
-    assert 0.0 < parameters.row_share_frac <= 1.0
-    assert 0.0 < parameters.column_share_frac <= 1.0
+    learn = searched[0].learn
+    parameters, one = learn.parameters, grounds()[IDEAL]
+    grown_mu = learn(one.features, one.label_mu)(one.features)
+    guess_mu = np.full_like(one.label_mu, np.median(one.label_mu))
+    assert mape_ratio(one.label_mu, grown_mu) < 0.5 * mape_ratio(one.label_mu, guess_mu)
+    assert parameters.trees_count <= MOST_TREES_COUNT
     assert parameters.bins_count == POOR_FIT.bins_count
     assert searched[0].learn.relative == (parameters.target is not Target.LOG_MU)
 
