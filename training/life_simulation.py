@@ -12,7 +12,8 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from pathlib import Path
 
-from training.car_lives import Lives, lived
+from training.car_lives import lived
+from training.cars import Lives
 from training.code_identity import code_digest
 from training.dataset import RUNS_FILE_NAME, DatasetError, Runs, joined, read_description, read_runs, write_runs
 from training.workers import executor

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import groupby, islice, pairwise
 from math import isfinite
+from types import MappingProxyType
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from roadgrip.units import SAMPLE_S, BoolArray, FloatArray
 from training.dataset import COMPLETED, LABEL_COLUMNS, Runs, joined
 from training.scenarios import Design, Run, Scenario, surveyed_map
 from training.schedule import Shard, inside_quota, runs_of
+from vehicle_client.estimation.grip.memory import CarMemory
 from vehicle_client.pipeline import summarise_passage
 from vehicle_client.simulator.drive import Drive
 from vehicle_client.simulator.plan import DECLARED_NOISE
@@ -23,14 +25,18 @@ from vehicle_client.simulator.run import each_passage
 BATCH_RUNS_COUNT = 32
 """Drives that are summarised together; their full histories are in memory at once, about 2 MB each."""
 
+NO_MEMORIES: Mapping[int, CarMemory] = MappingProxyType({})
 WatchDrives = Callable[[Sequence[Run], Sequence[Drive]], None]
 
 
-def drive_shard(shard: Shard, *, on_batch: WatchDrives | None = None) -> Runs:
+def drive_shard(
+    shard: Shard, *, memories: Mapping[int, CarMemory] = NO_MEMORIES, on_batch: WatchDrives | None = None
+) -> Runs:
     """Return the runs of a shard, driven and summarised; failed ones keep their outcome and have NaN features.
 
     Args:
         shard: What to drive.
+        memories: What cars have learned of themselves, by `PassagePlan.sensor_seed`.
         on_batch: Called with the full histories, some at a time.
     """
     parts = []
@@ -46,7 +52,7 @@ def drive_shard(shard: Shard, *, on_batch: WatchDrives | None = None) -> Runs:
             drives = list(islice(stream, len(batch)))
             if on_batch is not None:
                 on_batch(batch, drives)
-            parts.append(rows_of(scenario, batch, drives, road_map=road_map))
+            parts.append(rows_of(scenario, batch, drives, road_map=road_map, memories=memories))
     return joined(parts)
 
 
@@ -70,7 +76,14 @@ def table_of(design: Design, driven: Sequence[tuple[Shard, Runs]]) -> Runs:
     return runs.rows(order[np.concatenate(inside)])
 
 
-def rows_of(scenario: Scenario, runs: Sequence[Run], drives: Sequence[Drive], *, road_map: RoadSection) -> Runs:
+def rows_of(
+    scenario: Scenario,
+    runs: Sequence[Run],
+    drives: Sequence[Drive],
+    *,
+    road_map: RoadSection,
+    memories: Mapping[int, CarMemory] = NO_MEMORIES,
+) -> Runs:
     """Return the rows of some driven runs of a scenario.
 
     The road's features are those of the designed section: they come from the unit's map at run time, the same for
@@ -81,11 +94,13 @@ def rows_of(scenario: Scenario, runs: Sequence[Run], drives: Sequence[Drive], *,
         runs: The runs. (n,)
         drives: What became of them. (n,)
         road_map: What the vehicles know of the road.
+        memories: What cars have learned of themselves, by `PassagePlan.sensor_seed`; others remember nothing.
     """
     road = road_features(scenario.section)
     rows, outcomes = [], []
     for run, drive in zip(runs, drives, strict=True):
-        values, outcome = _summarised(run, drive, road_map)
+        memory = None if run.plan.sensor_seed is None else memories.get(run.plan.sensor_seed)
+        values, outcome = _summarised(run, drive, road_map, memory)
         rows.append(np.concatenate([values, road]))
         outcomes.append(outcome)
     labels = [labels_of(scenario.section, run, drive) for run, drive in zip(runs, drives, strict=True)]
@@ -125,7 +140,7 @@ def labels_of(section: RoadSection, run: Run, drive: Drive) -> dict[str, float]:
     }
 
 
-def _summarised(run: Run, drive: Drive, road_map: RoadSection) -> tuple[FloatArray, str]:
+def _summarised(run: Run, drive: Drive, road_map: RoadSection, memory: CarMemory | None) -> tuple[FloatArray, str]:
     nothing = np.full(len(NEWEST_TABLE.kinematic), np.nan)
     if not drive.completed:
         return nothing, drive.outcome.value
@@ -135,6 +150,7 @@ def _summarised(run: Run, drive: Drive, road_map: RoadSection) -> tuple[FloatArr
         vehicle=run.geometry,
         handling=run.handling,
         noise=DECLARED_NOISE[run.plan.sensor_grade],
+        memory=memory,
     )
     if isinstance(result, Rejected):
         return nothing, f"rejected_{result.reason.value}"

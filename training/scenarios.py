@@ -14,6 +14,8 @@ import numpy as np
 
 from roadgrip.section import RoadSection
 from training.advice_following import draw_advised_plan, with_any_speed
+from training.cars import Garage, Lives, any_car
+from training.chance import chance
 from training.friction_profiles import two_frictions
 from training.manoeuvres import StraightCase, draw_extreme_plan, draw_straight_plan
 from vehicle_client.estimation.handling import XC90_HANDLING, Handling
@@ -118,6 +120,7 @@ class Terms:
         sensor_grade: Which sensors the vehicles carry.
         driver_kind: What their drivers go by.
         scales: How many times as large disturbances are as usual; the drivers and the draws stay the same.
+        garage: The cars that are driven; None: every run has sensors of its own, and remembers nothing.
     """
 
     design_name: str
@@ -125,10 +128,19 @@ class Terms:
     sensor_grade: SensorGrade
     driver_kind: DriverKind = DriverKind.PRUDENT
     scales: AmplitudeScales = field(default=UNSCALED, repr=False)
+    garage: Garage | None = field(default=None, repr=False)
 
     def __str__(self) -> str:
-        """Return all of it as text; scales are named where they are not 1, so that usual designs keep their names."""
-        return repr(self) if self.scales == UNSCALED else f"{self!r}|{self.scales}"
+        """Return all of it as text; what is as usual is not named, so that usual designs keep their names."""
+        words = [repr(self)]
+        words += [] if self.scales == UNSCALED else [str(self.scales)]
+        words += [] if self.garage is None else [str(self.garage)]
+        return "|".join(words)
+
+    @property
+    def cars(self) -> Lives | None:
+        """The cars of the garage."""
+        return None if self.garage is None else self.garage.cars(self.seed, self.sensor_grade)
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,6 +202,9 @@ def run_of(terms: Terms, scenario: Scenario, *, base_friction_mu: float, number:
         scenario: Of its cell.
         base_friction_mu: Of its cell.
         number: Which attempt, from 0.
+
+    Raises:
+        ValueError: The scenario wants cars of a fleet, and the garage holds none, or the other way round.
     """
     key = f"{terms.design_name}/{scenario.name}/{base_friction_mu:.2f}/{number:05d}"
     drawn_as = f"{terms.design_name}/{scenario.drawn_as or scenario.name}/{base_friction_mu:.2f}/{number:05d}"
@@ -197,8 +212,14 @@ def run_of(terms: Terms, scenario: Scenario, *, base_friction_mu: float, number:
     if scenario.varied_vehicles:
         vehicle = draw_vehicle(chance(terms.seed, f"{drawn_as}|vehicle"))
         geometry, handling = geometry_of(vehicle), handling_of(vehicle)
+    sensor_seed = None
+    if (cars := terms.cars) is not None:
+        if cars.varied_vehicles != scenario.varied_vehicles:
+            raise ValueError(f"{scenario.name}: the garage holds other kinds of cars than the scenario wants")
+        car = any_car(chance(terms.seed, f"{drawn_as}|car"), cars)
+        vehicle, geometry, handling, sensor_seed = car.vehicle, car.geometry, car.matched, car.sensor_seed
     plan = _plan(chance(terms.seed, drawn_as), terms, scenario, base_friction_mu=base_friction_mu, vehicle=vehicle)
-    return Run(key, number, replace(plan, scales=terms.scales), geometry, handling)
+    return Run(key, number, replace(plan, scales=terms.scales, sensor_seed=sensor_seed), geometry, handling)
 
 
 def _plan(
@@ -248,9 +269,3 @@ def surveyed_map(terms: Terms, section: RoadSection) -> RoadSection:
     rng = chance(terms.seed, f"map|{section.section_id}")
     sensors = scaled(SENSORS[terms.sensor_grade], terms.scales.sensors_ratio)
     return map_as_surveyed(section, rng=rng, sensors=sensors)
-
-
-def chance(seed: int, purpose: str) -> np.random.Generator:
-    """Return the source of chance for one purpose of a design, such as one run."""
-    entropy = hashlib.sha256(f"{seed}|{purpose}".encode()).digest()[:16]
-    return np.random.default_rng(int.from_bytes(entropy, "big"))

@@ -29,15 +29,17 @@ from training.dataset import (
     write_runs,
 )
 from training.drive_files import DriveWriter
+from training.garage import GROUP_DRIVES_COUNT, memories, remembering_groups_count, school
 from training.passage_rows import drive_shard, table_of
 from training.scenarios import Design
 from training.schedule import Counts, Shard, next_round, streams_of
 from training.workers import executor
 
-DRIVING_MODULES = ("training.passage_rows", "training.schedule")
+DRIVING_MODULES = ("training.passage_rows", "training.schedule", "training.everyday")
 """Modules from which all that shapes a run is reached by imports."""
 DRIVES_FOLDER_NAME = "drives"
 SECTIONS_FOLDER_NAME = "sections"
+GARAGE_FOLDER_NAME = "garage"
 """The maps of the roads, beside the full histories: `roadgrip-train evaluate` finds them there."""
 
 
@@ -49,7 +51,7 @@ class Progress:
         attempts_count: Runs on disk.
         driven_now_count: Runs among them that this call has driven.
         done_count: What is done of `wanted_count`; a cell that came to its limit counts as done.
-        wanted_count: Runs that are asked for, over all cells.
+        wanted_count: Runs that are asked for, over all cells, and what cars drive before to learn what they are like.
     """
 
     attempts_count: int
@@ -64,6 +66,7 @@ def drive_design(
     *,
     workers_count: int | None = None,
     with_drives: bool = False,
+    garage_folder: Path | None = None,
     provenance: Mapping[str, str] | None = None,
     on_progress: Callable[[Progress], None] | None = None,
 ) -> Runs:
@@ -77,6 +80,8 @@ def drive_design(
         folder: Where the files go; made if missing.
         workers_count: Processes; as many as there are processors if None.
         with_drives: Whether the full histories of all runs are kept too.
+        garage_folder: Where the design's cars keep what they have learned; designs of one seed may share it. A folder
+            in `folder` by default.
         provenance: What else the data set shall say about its origin.
         on_progress: Called after every shard.
     """
@@ -89,7 +94,8 @@ def drive_design(
     finished = description.items() <= _origin(whole).items()
     if not finished:
         whole.unlink(missing_ok=True)
-    journey = _Journey(design, folder, with_drives=with_drives, on_progress=on_progress)
+    garage_folder = garage_folder or folder / GARAGE_FOLDER_NAME
+    journey = _Journey(design, folder, with_drives=with_drives, garage_folder=garage_folder, on_progress=on_progress)
     journey.report()
     workers_count = max(1, min(workers_count or os.cpu_count() or 1, len(journey.waiting)))
     with executor(workers_count) as pool:
@@ -127,13 +133,21 @@ class _Journey:
     """What of a design is driven, and what is to be driven next."""
 
     def __init__(
-        self, design: Design, folder: Path, *, with_drives: bool, on_progress: Callable[[Progress], None] | None
+        self,
+        design: Design,
+        folder: Path,
+        *,
+        with_drives: bool,
+        garage_folder: Path,
+        on_progress: Callable[[Progress], None] | None,
     ) -> None:
         self.shards: list[Shard] = []
         self.driven_now_count = 0
         self._design = design
         self._folder = folder
         self._with_drives = with_drives
+        self._garage_folder = garage_folder
+        self._schooled_count = 0
         self._on_progress = on_progress
         self._streams = streams_of(design)
         self._quotas = [cell.scenario.quota for cells in self._streams for cell in cells]
@@ -143,7 +157,8 @@ class _Journey:
         self.waiting = deque(shard for i in range(len(self._streams)) for shard in self._next_round(i))
 
     def drive(self, pool: Executor, *, at_once_count: int) -> None:
-        """Drive all that is missing, round by round."""
+        """Drive all that is missing, round by round; cars that shall remember something learn it first."""
+        school(self._design.terms, self._garage_folder, pool, on_group=self._count_group)
         description = design_description(self._design)
         running: dict[Future[tuple[str, ...]], Shard] = {}
         while self.waiting or running:
@@ -153,7 +168,9 @@ class _Journey:
                     self._finish(shard, read_outcomes(self.path_of(shard)), driven_now=False)
                     continue
                 drives_path = self._drives_path_of(shard) if self._with_drives else None
-                work = pool.submit(_drive_and_write, shard, self.path_of(shard), drives_path, description)
+                work = pool.submit(
+                    _drive_and_write, shard, self.path_of(shard), drives_path, self._garage_folder, description
+                )
                 running[work] = shard
             for work in wait(running, return_when=FIRST_COMPLETED).done:
                 self._finish(running.pop(work), work.result(), driven_now=True)
@@ -162,7 +179,8 @@ class _Journey:
         """Tell how far it is."""
         if self._on_progress is None:
             return
-        done, wanted = 0.0, 0
+        done = float(self._schooled_count * GROUP_DRIVES_COUNT)
+        wanted = remembering_groups_count(self._design.terms) * GROUP_DRIVES_COUNT
         for quota, counts in zip(self._quotas, self._counts, strict=True):
             wanted_here = quota.kept_count or quota.attempts_limit_count
             tried_frac = counts.attempts_count / quota.attempts_limit_count
@@ -175,6 +193,10 @@ class _Journey:
     def path_of(self, shard: Shard) -> Path:
         """Return the file of a shard."""
         return self._folder / SHARDS_FOLDER_NAME / f"{shard.name}.parquet"
+
+    def _count_group(self) -> None:
+        self._schooled_count += 1
+        self.report()
 
     def _finish(self, shard: Shard, outcomes: tuple[str, ...], *, driven_now: bool) -> None:
         row = 0
@@ -227,12 +249,13 @@ def _origin(path: Path) -> dict[str, str]:
 
 
 def _drive_and_write(
-    shard: Shard, path: Path, drives_path: Path | None, description: dict[str, str]
+    shard: Shard, path: Path, drives_path: Path | None, garage_folder: Path, description: dict[str, str]
 ) -> tuple[str, ...]:
+    learned = memories(shard.terms, garage_folder)
     if drives_path is None:
-        runs = drive_shard(shard)
+        runs = drive_shard(shard, memories=learned)
     else:
         with DriveWriter(drives_path, description=description) as writer:
-            runs = drive_shard(shard, on_batch=writer.write)
+            runs = drive_shard(shard, memories=learned, on_batch=writer.write)
     write_runs(runs, path, description=description)
     return runs.outcome

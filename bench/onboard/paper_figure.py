@@ -16,8 +16,8 @@ from roadgrip.records import Rejected
 from roadgrip.section import RoadSection
 from roadgrip.sections import read_section
 from roadgrip.units import GRAVITY_MPS2, FloatArray, kph_to_mps, mps_to_kph
+from training.chance import chance
 from training.marked_tables import table
-from training.scenarios import chance
 from vehicle_client.estimation.observer import PAPER_PARAMETERS, XC90_PARAMETERS, ObserverParameters
 from vehicle_client.estimation.offsets import NO_OFFSETS
 from vehicle_client.estimation.signals import kinematic_signals

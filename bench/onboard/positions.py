@@ -15,9 +15,10 @@ from bench.onboard.drives import GRADES, SCENARIO_WORDS, SEED, attempted_drives,
 from bench.validation.picture import OURS, QUIET, SERIES, THEORY, label, legend, panels, write
 from roadgrip.records import Rejected
 from roadgrip.section import RoadSection
+from training.chance import chance
 from training.designs import BASE_FRICTIONS_MU, random_roads
 from training.marked_tables import percent, table
-from training.scenarios import Scenario, attempted, chance
+from training.scenarios import Scenario, attempted
 from vehicle_client.mapmatch.match import SectionMatch
 from vehicle_client.pipeline import summarise_passage
 from vehicle_client.simulator.drive import Drive

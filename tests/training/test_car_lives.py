@@ -1,50 +1,23 @@
 """Cars keep their sensors and tyres over their life, groups keep to themselves, and all tellings tell of one drive."""
 
-from dataclasses import fields, replace
-
 import numpy as np
 import pytest
 
 from roadgrip.features import GRIP_TABLE, PAPER_TABLE
-from training import car_lives
-from training.car_lives import Lives, Telling, car_of, everyday_road, judged_road, lived, wrong_handling
+from training import car_lives, cars
+from training.car_lives import Telling, judged_road, lived
+from training.cars import CARS_COUNT, Lives
 from training.dataset import COMPLETED
 from training.designs import BASE_FRICTIONS_MU, random_roads
+from training.everyday import everyday_road
 from training.scenarios import attempted
-from vehicle_client.estimation.handling import XC90_HANDLING
 from vehicle_client.simulator.plan import SensorGrade
-from vehicle_client.simulator.vehicle import XC90
 
 FLEET = Lives("test-fleet", 2, SensorGrade.AUTOMOTIVE, 2, varied_vehicles=True)
-PAPER = replace(FLEET, name="test-paper", varied_vehicles=False)
 
 
-def test_a_careless_maker_is_off_by_the_same_share_everywhere(rng):
-    wrong = wrong_handling(XC90_HANDLING, rng)
-    for right, declared in ((XC90_HANDLING, wrong), (XC90_HANDLING.tyre, wrong.tyre)):
-        for field in fields(right):
-            if field.name != "tyre":
-                ratio = getattr(declared, field.name) / getattr(right, field.name)
-                assert abs(ratio - 1.0) == pytest.approx(0.1), field.name
-
-
-def test_shares_that_are_wrong_are_shares(rng):
-    all_in_front = replace(XC90_HANDLING, front_drive_frac=1.0)
-    declared = {wrong_handling(all_in_front, rng).front_drive_frac for _ in range(20)}
-    assert declared == {0.9, 1.0}
-
-
-def test_cars_are_others_by_group_place_and_seed_and_the_same_again():
-    cars = [car_of(FLEET, 0, 0), car_of(FLEET, 0, 1), car_of(FLEET, 1, 0), car_of(replace(FLEET, seed=3), 0, 0)]
-    for attribute in ("vehicle", "sensor_seed", "wear_factor", "wrong"):
-        assert len({repr(getattr(car, attribute)) for car in cars}) == 4
-    assert car_of(FLEET, 0, 1) == cars[1]
-
-
-def test_the_papers_car_differs_by_its_sensors_and_tyres_alone():
-    cars = [car_of(PAPER, 0, place) for place in range(3)]
-    assert all(car.vehicle == XC90 and car.matched == XC90_HANDLING for car in cars)
-    assert len({car.sensor_seed for car in cars}) == 3
+def test_a_group_has_a_car_for_each_base_friction():
+    assert len(BASE_FRICTIONS_MU) == CARS_COUNT
 
 
 def test_judged_roads_are_those_of_the_random_roads_and_no_group_shares_any():
@@ -54,18 +27,13 @@ def test_judged_roads_are_those_of_the_random_roads_and_no_group_shares_any():
     assert everyday_road(FLEET, 0, 0).section_id != everyday_road(FLEET, 1, 0).section_id
 
 
-def test_more_groups_change_none_of_those_there_were():
-    assert replace(FLEET, groups_count=9).identity == FLEET.identity
-    assert replace(FLEET, seed=3).identity != FLEET.identity
-    assert PAPER.identity != FLEET.identity
-
-
 @pytest.fixture(scope="module")
 def runs():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(car_lives, "EVERYDAY_COUNT", 2)
         patch.setattr(car_lives, "FEW_COUNT", 1)
         patch.setattr(car_lives, "CARS_COUNT", 3)
+        patch.setattr(cars, "CARS_COUNT", 3)
         return lived(FLEET, 0)
 
 

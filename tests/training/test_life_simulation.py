@@ -7,7 +7,7 @@ import pytest
 
 from tests.training.runs import made_up_runs
 from training import life_simulation
-from training.car_lives import Lives
+from training.cars import Lives
 from training.dataset import RUNS_FILE_NAME
 from training.life_simulation import GROUPS_FOLDER_NAME, is_lived, live, lives_description
 from vehicle_client.simulator.plan import SensorGrade

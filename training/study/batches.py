@@ -16,8 +16,8 @@ import numpy as np
 
 from roadgrip.units import FloatArray
 from rsu_app.domain.interval import MEDIAN_TYRE_RATIO, IntervalPolicy, friction_interval
+from training.chance import chance
 from training.regressor import RowIndices
-from training.scenarios import chance
 
 BATCH_SIZES_COUNT = (1, 10, 50, 100)
 """Vehicles in a batch, as the paper shows them."""

@@ -34,6 +34,7 @@ class DataSet:
         scales: How many times as large disturbances are as usual.
         sections: Roads to drive instead of a named design's, runs as attempts at the paper's base frictions; `design`
             then only names the runs. Where it returns none, their source is not on this machine, and there are no runs.
+        remembering: Whether cars remember the errors of automotive sensors from everyday roads; exact ones leave none.
         lives: Cars that learn on everyday roads before they are judged; `design` then only names the runs, and the
             size counts groups of eleven cars as runs.
     """
@@ -47,10 +48,14 @@ class DataSet:
     seed: int = 1
     scales: AmplitudeScales = UNSCALED
     sections: Callable[[], tuple[RoadSection, ...]] | None = None
+    remembering: bool = True
     lives: Cars | None = None
 
 
-SENSITIVITY_SIZE = Size(60)
+GARAGE_GROUPS_COUNT = 36
+"""Eleven cars each."""
+GARAGE_QUICK_GROUPS_COUNT = 4
+SENSITIVITY_SIZE = Size(150)
 SENSITIVITY_QUICK_SIZE = Size(10)
 
 
@@ -62,6 +67,7 @@ def _scaled_set(name: str, what: str, scales: AmplitudeScales) -> DataSet:
         quick_size=SENSITIVITY_QUICK_SIZE,
         purpose=f"the first runs of the paper's matrix once more, {what}",
         scales=scales,
+        remembering=False,
     )
 
 

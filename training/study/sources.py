@@ -8,6 +8,7 @@ import json
 import platform
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Protocol
@@ -16,14 +17,14 @@ import numpy as np
 
 from roadgrip.errors import ConfigurationError
 from roadgrip.features import FEATURE_NAMES
-from training.car_lives import Lives
+from training.cars import Garage, Lives
 from training.dataset import LABEL_COLUMNS, RUNS_FILE_NAME, DatasetError, Runs, read_description
 from training.designs import BASE_FRICTIONS_MU, named_design
 from training.life_simulation import is_lived, live, lives_description
 from training.machine import processor_model
 from training.scenarios import Design, Scenario, Terms, attempted
-from training.simulation import Progress, design_description, drive_design
-from training.study.datasets import DATA_SETS, Cars, DataSet
+from training.simulation import GARAGE_FOLDER_NAME, Progress, design_description, drive_design
+from training.study.datasets import DATA_SETS, GARAGE_GROUPS_COUNT, GARAGE_QUICK_GROUPS_COUNT, Cars, DataSet
 from vehicle_client.simulator.plan import SensorGrade
 
 USUAL_SEED = 1
@@ -108,6 +109,7 @@ class DesignSource:
                 self.design(name, grade),
                 folder,
                 workers_count=self._workers_count,
+                garage_folder=self._folder / GARAGE_FOLDER_NAME,
                 provenance=provenance,
                 on_progress=tell,
             )
@@ -140,9 +142,18 @@ class DesignSource:
         terms = Terms(wanted.design, seed, grade, wanted.driver_kind, wanted.scales)
         size = wanted.quick_size if self._quick else wanted.size
         if wanted.sections is None:
-            return named_design(wanted.design, terms, size)
+            design = named_design(wanted.design, terms, size)
+            garage = self._garage(wanted, grade, varied_vehicles=any(s.varied_vehicles for s in design.scenarios))
+            return replace(design, terms=replace(terms, garage=garage))
+        terms = replace(terms, garage=self._garage(wanted, grade, varied_vehicles=False))
         roads = (Scenario(road.section_id, road, attempted(size.runs_count)) for road in wanted.sections())
         return Design(terms, tuple(roads), BASE_FRICTIONS_MU)
+
+    def _garage(self, wanted: DataSet, grade: SensorGrade, *, varied_vehicles: bool) -> Garage:
+        groups_count = GARAGE_QUICK_GROUPS_COUNT if self._quick else GARAGE_GROUPS_COUNT
+        # Exact sensors leave nothing to remember; the cars are the same.
+        learned = wanted.remembering and grade is SensorGrade.AUTOMOTIVE
+        return Garage(groups_count, groups_count if learned else 0, varied_vehicles=varied_vehicles)
 
 
 def no_runs() -> Runs:

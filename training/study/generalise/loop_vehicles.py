@@ -7,10 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from roadgrip.section import RoadSection
+from training.chance import chance
 from training.closed_loop import Drive, Passed, Traveller, draw_travellers
 from training.dataset import COMPLETED
 from training.passage_rows import rows_of
-from training.scenarios import WITH_GNSS_FRAC, Run, Scenario, Terms, attempted, chance, surveyed_map
+from training.scenarios import WITH_GNSS_FRAC, Run, Scenario, Terms, attempted, surveyed_map
 from vehicle_client.estimation.handling import XC90_HANDLING
 from vehicle_client.estimation.vehicle_geometry import XC90
 from vehicle_client.simulator.drive import DriveOutcome

@@ -10,8 +10,10 @@ import numpy as np
 
 from roadgrip.units import FloatArray
 from training.accuracy import mape_ratio, relative_rms_ratio
-from training.car_lives import EVERYDAY_COUNT, FEW_COUNT, WRONG_RATIO, Telling
+from training.car_lives import FEW_COUNT, Telling
+from training.cars import WRONG_RATIO
 from training.dataset import Runs
+from training.everyday import EVERYDAY_COUNT
 from training.regressor import RowIndices
 from training.study.chapter import Arrays, Chapter, Claim, Result, Table, Verdict, Workbench
 from training.study.distributions import per_cent

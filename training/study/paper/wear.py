@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from roadgrip.units import FloatArray
+from training.chance import chance
 from training.regressor import RowIndices
-from training.scenarios import chance
 from training.study.batches import Cell, CellErrors, cells_of, errors_by_cell, published_rule, worst_cell
 from training.study.chapter import Cell as TableCell
 from training.study.chapter import Chapter, Claim, Result, Table, Verdict, Workbench
