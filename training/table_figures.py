@@ -10,11 +10,18 @@ from roadgrip.bundle import Conformal, OrdinaryDriving
 from roadgrip.features import PAPER_TABLE
 from roadgrip.units import BoolArray, FloatArray
 from rsu_app.domain.envelope import is_strange_driving, is_strange_road
-from training.conformal import nonconformity_ratio
+from training.conformal import stated_nonconformity_ratio
 from training.dataset import Runs
 from training.designs import PAPER_ROADS
 from training.error_model import LEAST_MU
-from training.table_models import FOLDS_COUNT, Answers, GrownModel, LearnedDrives, calibrated
+from training.table_models import (
+    FOLDS_COUNT,
+    LITTLE_USE_RATIO,
+    Answers,
+    GrownModel,
+    LearnedDrives,
+    calibrated,
+)
 
 FRICTION_BANDS_MU: tuple[tuple[float, float], ...] = ((0.0, 0.3), (0.3, 0.4), (0.4, 0.5), (0.5, 0.6), (0.6, 1.0))
 HIGH_UTILISATION_RATIO = 0.6
@@ -28,7 +35,7 @@ def figures_of(model: GrownModel, drives: LearnedDrives) -> dict[str, float]:
     for number in range(FOLDS_COUNT):
         # The interval of a fold has the width that the other folds' random roads ask for.
         out = drives.fold == number
-        meaning = calibrated(model.strangers, drives.label_mu, rows=~out & ~drives.known)
+        meaning = calibrated(model.strangers, drives.runs.labels, rows=~out & ~drives.known)
         held[out] = holds(model.strangers, drives.label_mu, meaning)[out]
     figures: dict[str, float] = {}
     error = np.abs(model.strangers.mu / drives.label_mu - 1.0)
@@ -95,6 +102,7 @@ def parts_of(runs: Runs, *, known: BoolArray) -> dict[str, BoolArray]:
         "unseen_roads.any_speed": ~known & any_speed,
         "unseen_roads.high_use": ~known & (used >= HIGH_UTILISATION_RATIO),
         "unseen_roads.low_use": ~known & (used < HIGH_UTILISATION_RATIO),
+        "unseen_roads.little_use": ~known & (used < LITTLE_USE_RATIO),
     }
     for low, high in FRICTION_BANDS_MU:
         parts[f"unseen_roads.{band_key(low, high)}"] = ~known & (label_mu >= low) & (label_mu < high)
@@ -107,8 +115,13 @@ def band_key(low_mu: float, high_mu: float) -> str:
 
 
 def holds(answers: Answers, label_mu: FloatArray, meaning: Conformal) -> BoolArray:
-    """Return which intervals hold the truth. (n,)"""
-    scores = nonconformity_ratio(label_mu, np.maximum(answers.mu, LEAST_MU), answers.expected_error_ratio)
+    """Return where what is said holds: intervals hold the truth, bounds of doubtful estimates lie below it. (n,)"""
+    scores = stated_nonconformity_ratio(
+        label_mu,
+        np.maximum(answers.mu, LEAST_MU),
+        answers.expected_error_ratio,
+        doubtful_above_ratio=meaning.doubtful_above_ratio,
+    )
     return np.asarray(scores <= meaning.quantile, dtype=np.bool_)
 
 

@@ -6,7 +6,7 @@ how wide an interval has to be, and the figures of the bundle all come from esti
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -25,6 +25,7 @@ from training.fit_parameters import FitParameters
 from training.regressor import RowIndices, estimate_mu, grow_trees
 from training.study.envelopes import Ordinary, learn_whole_envelope
 from training.study.folds import fold_numbers, side_by_side
+from training.study.generalise.doubt import best_threshold
 from training.study.paper_features import KINEMATIC_FEATURES
 from training.study.recipes import BEST_RECIPE, Boosted
 
@@ -33,8 +34,13 @@ FEWEST_RANDOM_ROADS = 10
 """Fewer say nothing about the next one."""
 COVERAGE_FRAC = 0.9
 """How often the interval of a single estimate shall hold the truth."""
-DOUBTFUL_ABOVE_RATIO = 0.15
-"""An estimate with a larger expected error is taken for a lower bound."""
+LITTLE_USE_RATIO = 1.0 / 3.0
+"""Who never used a larger share of the grip shall say "at least"."""
+LEAST_DOUBTFUL_RATIO = 0.05
+"""An estimate with a smaller error to expect names the friction, however little of the grip was used."""
+FRICTION_EDGES_MU = (0.3, 0.4, 0.5, 0.6)
+USE_EDGES_RATIO = (0.3, 0.4, 0.6, 0.8)
+"""Between these edges of the truth lie groups of passages that intervals must not forget."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,6 +166,9 @@ def paper_plan(parameters: FitParameters) -> TablePlan:
 def learned_drives(runs: Runs, *, seed: int) -> LearnedDrives:
     """Return the drives to learn from, dealt to folds; the order of the rows changes nothing.
 
+    A drive that is there under both grades of sensors, by one name, is judged in one fold: who knows the one knows the
+    other.
+
     Raises:
         DatasetError: There are too few random roads to say anything about the next one.
     """
@@ -173,7 +182,8 @@ def learned_drives(runs: Runs, *, seed: int) -> LearnedDrives:
         raise DatasetError(message)
     fold_of = dict(zip(names, fold_numbers(len(names), FOLDS_COUNT, seed=seed).tolist(), strict=True))
     fold = np.array([fold_of.get(name, 0) for name in sections.tolist()], dtype=np.intp)
-    fold[known] = fold_numbers(int(known.sum()), FOLDS_COUNT, seed=seed)
+    drives, drive = np.unique(np.array(usable.run_key)[known], return_inverse=True)
+    fold[known] = fold_numbers(len(drives), FOLDS_COUNT, seed=seed)[drive]
     return LearnedDrives(usable, fold)
 
 
@@ -220,7 +230,7 @@ def grown_model(drives: LearnedDrives, plan: TablePlan, *, on_step: Callable[[in
         friction=whole[0],
         error=whole[1],
         strangers=strangers,
-        conformal=calibrated(strangers, label_mu, rows=random),
+        conformal=calibrated(strangers, drives.runs.labels, rows=random),
     )
 
 
@@ -229,14 +239,30 @@ def steps_count() -> int:
     return 2 * (FOLDS_COUNT + 1)
 
 
-def calibrated(answers: Answers, label_mu: FloatArray, *, rows: BoolArray) -> Conformal:
-    """Return what expected errors mean by some of the rows. `label_mu`, `rows`: (n,)"""
+def calibrated(answers: Answers, labels: Mapping[str, FloatArray], *, rows: BoolArray) -> Conformal:
+    """Return what expected errors mean by some of the rows.
+
+    Doubtful, and so a bound, is what has more error to expect than the value that best parts passages that used little
+    of the grip from the others. The error to expect is asked rather than the share of the grip that a passage seems to
+    have used: who takes a slippery road for a good one seems to have used little, and its bound would not hold.
+
+    Args:
+        answers: What strangers said. (n,)
+        labels: What is known of the drives; columns of (n,).
+        rows: Those to calibrate by. (n,)
+    """
+    label_mu, use_ratio = labels["label_mu"][rows], labels["peak_utilisation_ratio"][rows]
+    expected = answers.expected_error_ratio[rows]
     return conformal_of(
-        label_mu[rows],
+        label_mu,
         np.maximum(answers.mu[rows], LEAST_MU),
-        answers.expected_error_ratio[rows],
+        expected,
         coverage_frac=COVERAGE_FRAC,
-        doubtful_above_ratio=DOUBTFUL_ABOVE_RATIO,
+        doubtful_above_ratio=max(LEAST_DOUBTFUL_RATIO, best_threshold(expected, use_ratio < LITTLE_USE_RATIO)),
+        groupings=(
+            np.searchsorted(FRICTION_EDGES_MU, label_mu, side="right"),
+            np.searchsorted(USE_EDGES_RATIO, use_ratio, side="right"),
+        ),
     )
 
 

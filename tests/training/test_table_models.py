@@ -8,22 +8,26 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from roadgrip.bundle import BundleManifest
+from roadgrip.bundle import BundleManifest, Conformal
 from roadgrip.features import GRIP_TABLE, PAPER_TABLE
 from rsu_app.adapters.inference import load_bundle
 from rsu_app.domain.judgement import judgement
 from tests.training.many_roads import runs_of_many_roads
 from tests.training.runs import made_up_runs, shuffled
 from training.bundling import write_models
-from training.dataset import DatasetError
+from training.dataset import DatasetError, joined
 from training.fit_parameters import FitParameters
-from training.table_figures import figures_of, fresh_figures, parts_of, strange_figures
+from training.table_figures import figures_of, fresh_figures, holds, parts_of, strange_figures
 from training.table_models import (
     COVERAGE_FRAC,
     FOLDS_COUNT,
+    LEAST_DOUBTFUL_RATIO,
+    LITTLE_USE_RATIO,
+    Answers,
     GrownModel,
     TablePlan,
     best_plan,
+    calibrated,
     grown_model,
     learned_drives,
     ordinary_driving,
@@ -66,6 +70,12 @@ def test_the_order_of_the_rows_changes_nothing() -> None:
     again = learned_drives(shuffled(RUNS, seed=4), seed=1)
     assert again.runs.run_key == DRIVES.runs.run_key
     assert (again.fold == DRIVES.fold).all()
+
+
+def test_a_drive_under_both_grades_of_sensors_is_judged_in_one_fold() -> None:
+    both = learned_drives(joined([RUNS, RUNS]), seed=1)
+    fold_of = dict(zip(DRIVES.runs.run_key, DRIVES.fold.tolist(), strict=True))
+    assert both.fold.tolist() == [fold_of[key] for key in both.runs.run_key]
 
 
 def test_a_few_roads_say_nothing_about_the_next() -> None:
@@ -125,6 +135,31 @@ def test_intervals_hold_the_truth_about_as_often_as_they_say(models: list[GrownM
         assert figures[f"coverage_frac.unseen_roads.{model.plan.version}"] == pytest.approx(COVERAGE_FRAC, abs=0.05)
         fresh = fresh_figures(model, FRESH, part="fresh")
         assert fresh[f"coverage_frac.fresh.{model.plan.version}"] > COVERAGE_FRAC - 0.1
+
+
+def answers_for(use_ratio: np.ndarray, *, scale: float) -> Answers:
+    # The less of the grip was used, the more error there is, and the model knows.
+    expected = scale / np.maximum(use_ratio, 0.1)
+    sign = np.where(np.arange(len(use_ratio)) % 2, 1.0, -1.0)
+    return Answers(DRIVES.label_mu * np.exp(0.8 * sign * expected), expected)
+
+
+@pytest.mark.parametrize(("scale", "says"), [(0.05, True), (0.002, False)])
+def test_who_used_little_says_at_least_unless_it_knows_all_the_same(scale: float, says: bool) -> None:
+    use_ratio = np.random.default_rng(1).uniform(0.15, 1.0, len(DRIVES.runs))
+    labels = {**DRIVES.runs.labels, "peak_utilisation_ratio": use_ratio}
+    answers = answers_for(use_ratio, scale=scale)
+    meaning = calibrated(answers, labels, rows=~DRIVES.known)
+    said = answers.expected_error_ratio > meaning.doubtful_above_ratio
+    assert meaning.doubtful_above_ratio >= LEAST_DOUBTFUL_RATIO
+    assert said[use_ratio < 0.9 * LITTLE_USE_RATIO].all() == says
+    assert not said[use_ratio > 1.1 * LITTLE_USE_RATIO].any()
+
+
+def test_a_bound_that_lies_below_the_truth_holds_however_far() -> None:
+    answers = Answers(np.array([0.1, 0.1, 0.9]), np.array([0.01, 0.3, 0.3]))
+    meaning = Conformal(coverage_frac=0.9, quantile=2.0, doubtful_above_ratio=0.1)
+    assert holds(answers, np.full(3, 0.4), meaning).tolist() == [False, True, False]
 
 
 def test_parts_are_parts_of_the_whole(models: list[GrownModel]) -> None:
