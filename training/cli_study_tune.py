@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from training.cli_designs import AsJson, console, progress_bar
-from training.study.generalise.estimates import RANDOM_ROADS_SET
+from training.study.folds import RANDOM_ROADS_SET
 from training.study.recipes import BEST_RECIPE
 from training.study.tuning import Tuned, document_of, grounds_of, tune
 from training.study.workbench import StudyWorkbench

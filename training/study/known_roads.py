@@ -8,7 +8,7 @@ from roadgrip.units import FloatArray
 from training.accuracy import mape_ratio, relative_rms_ratio
 from training.study.chapter import Workbench
 from training.study.feature_selection import SELECTED_COUNT, selected_features
-from training.study.folds import Split, paper_split, recipe_fold_mape_ratio
+from training.study.folds import Split, learner, paper_split, recipe_fold_mape_ratio
 from training.study.paper_features import PAPER_FEATURES
 from training.study.recipes import Recipe
 from vehicle_client.simulator.plan import SensorGrade
@@ -23,7 +23,8 @@ def global_estimates(bench: Workbench, grade: SensorGrade, recipe: Recipe) -> Fl
 
     def work() -> dict[str, FloatArray]:
         split = paper_split(bench, grade)
-        learned = recipe.learn(split.features(recipe.features, split.train_rows), split.label_mu(split.train_rows))
+        rows = split.train_rows
+        learned = learner(bench, recipe)(split.features(recipe.features, rows), split.label_mu(rows))
         return {"estimate_mu": learned(split.features(recipe.features, split.test_rows))}
 
     return bench.remembered(f"held-out-{grade}-{recipe.key}-{bench.seed}", work)["estimate_mu"]
@@ -42,7 +43,7 @@ def local_estimates(bench: Workbench, grade: SensorGrade, recipe: Recipe) -> Flo
         estimate = np.full(len(split.test_rows), np.nan)
         for scenario in split.scenarios:
             rows = split.scenario_rows(split.train_rows, scenario)
-            learned = recipe.learn(split.features(recipe.features, rows), split.label_mu(rows))
+            learned = learner(bench, recipe)(split.features(recipe.features, rows), split.label_mu(rows))
             mine = where[split.test_rows] == scenario
             estimate[mine] = learned(split.features(recipe.features, split.test_rows[mine]))
         return {"estimate_mu": estimate}

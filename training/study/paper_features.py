@@ -6,8 +6,6 @@ import re
 from collections.abc import Collection, Sequence
 
 from roadgrip.features import PAPER_TABLE, STATISTICS
-from roadgrip.units import FloatArray
-from training.dataset import Runs
 
 PAPER_FEATURES: tuple[str, ...] = PAPER_TABLE.names
 """What the paper learns from: what the vehicle sends, then the road's geometry. (78)"""
@@ -45,12 +43,3 @@ def of_statistics(names: Sequence[str], statistics: Collection[str]) -> tuple[st
 
 SPEED_FEATURES: tuple[str, ...] = tuple(name for name in PAPER_FEATURES if signal_of(name) == "speed")
 """Those by which a driver who knows the friction gives it away. (11)"""
-
-
-def columns_by_name(runs: Runs, names: Sequence[str]) -> FloatArray:
-    """Return some features of all runs, in the order of the names, whichever table the runs are of. (runs, names)
-
-    Raises:
-        FeatureTableError: There is no such feature.
-    """
-    return runs.columns(names)

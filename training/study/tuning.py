@@ -20,9 +20,7 @@ from training.accuracy import mape_ratio
 from training.dataset import DatasetError, Runs
 from training.fit_parameters import Target
 from training.regressor import RowIndices
-from training.study.folds import fold_numbers
-from training.study.generalise.estimates import estimates_by_strangers
-from training.study.generalise.held_out import rows_by_name
+from training.study.folds import estimates_by_strangers, fold_numbers, rows_by_name
 from training.study.recipes import Boosted, Recipe
 from vehicle_client.simulator.plan import SensorGrade
 
@@ -276,7 +274,7 @@ def _within(value: float, ends: tuple[float, float]) -> float:
 
 
 def _searched(grounds: Grounds, recipe: Recipe) -> float:
-    mu = estimates_by_strangers(recipe, grounds.features, grounds.label_mu, fold=grounds.fold)
+    mu = estimates_by_strangers(recipe.learn, grounds.features, grounds.label_mu, fold=grounds.fold)
     return mape_ratio(grounds.label_mu, mu)
 
 

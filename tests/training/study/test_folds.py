@@ -14,12 +14,16 @@ from training.dataset import DatasetError
 from training.study.folds import (
     cross_validated,
     fold_numbers,
+    learner,
     paper_estimates,
     recipe_fold_mape_ratio,
+    road_folds,
+    rows_by_name,
     side_by_side,
     split_by_scenario,
 )
-from training.study.recipes import Recipe
+from training.study.generalise.features import BestByGain
+from training.study.recipes import BEST_RECIPE, PAPER_RECIPE, Boosted, Recipe
 from vehicle_client.simulator.plan import SensorGrade
 
 
@@ -96,6 +100,43 @@ def test_an_error_in_one_job_ends_them_all():
 
     with pytest.raises(ZeroDivisionError):
         side_by_side([fail] * 5)
+
+
+def test_all_rows_of_a_road_are_judged_together():
+    names = [f"road-{i % 24}" for i in range(200)]
+    folds = road_folds(names, seed=1)
+    assert len({(name, fold) for name, fold in zip(names, folds.tolist(), strict=True)}) == 24
+    assert len(set(folds.tolist())) == 8
+
+
+def test_rows_come_by_name_whatever_their_order():
+    runs = made_up_runs(60)
+    other = shuffled(runs, seed=4)
+    names = [runs.run_key[i] for i in rows_by_name(runs).tolist()]
+    assert names == [other.run_key[i] for i in rows_by_name(other).tolist()]
+    assert len(names) == runs.usable.sum()
+
+
+@pytest.mark.parametrize("recipe", [PAPER_RECIPE, BEST_RECIPE])
+def test_only_a_rough_answer_takes_coarser_bins(recipe):
+    usual, rough = (learner(Desk(quick=quick), recipe) for quick in (False, True))
+    assert usual is recipe.learn
+    assert isinstance(usual, Boosted)
+    assert isinstance(rough, Boosted)
+    assert replace(rough, parameters=usual.parameters) == usual
+    assert rough.parameters.bins_count < usual.parameters.bins_count
+
+
+def test_a_learner_within_another_takes_coarser_bins_too():
+    rough = learner(Desk(quick=True), Recipe("few", BEST_RECIPE.features, BestByGain(BEST_RECIPE.learn, 20)))
+    assert rough == BestByGain(learner(Desk(quick=True), BEST_RECIPE), 20)
+
+
+def test_only_the_first_rows_are_judged_if_some_are_asked_for():
+    desk = Desk()
+    few = recipe_fold_mape_ratio(desk, SensorGrade.IDEAL, MEAN, rows_count=40)
+    assert not np.array_equal(few, recipe_fold_mape_ratio(desk, SensorGrade.IDEAL, MEAN))
+    assert len(desk.worked) == 2
 
 
 def test_estimates_by_strangers_stand_where_their_runs_stand():

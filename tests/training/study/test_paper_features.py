@@ -1,16 +1,11 @@
 from __future__ import annotations
 
-import numpy as np
 import pytest
 
-from roadgrip.errors import FeatureTableError
-from roadgrip.features import PAPER_TABLE
-from tests.training.runs import made_up_runs
 from training.study.paper_features import (
     KINEMATIC_FEATURES,
     PAPER_FEATURES,
     SPEED_FEATURES,
-    columns_by_name,
     of_statistics,
     signal_of,
     statistic_of,
@@ -48,22 +43,3 @@ def test_leaving_out_the_sideslip_keeps_its_rate_unless_that_is_named_too():
 
 def test_mean_and_std_are_two_of_every_signal():
     assert len(of_statistics(PAPER_FEATURES, ("mean", "std"))) == 14
-
-
-def test_columns_come_in_the_order_of_the_names():
-    runs = made_up_runs(20)
-    names = (PAPER_FEATURES[5], PAPER_FEATURES[2])
-    chosen = columns_by_name(runs, names)
-    assert np.array_equal(chosen[0], [runs.features[0, 5], runs.features[0, 2]])
-
-
-def test_names_mean_the_same_columns_in_runs_of_every_table():
-    newest = made_up_runs(20)
-    names = (PAPER_FEATURES[-1], PAPER_FEATURES[0])
-    of_the_paper = newest.for_table(PAPER_TABLE)
-    assert np.array_equal(columns_by_name(newest, names), columns_by_name(of_the_paper, names), equal_nan=True)
-
-
-def test_a_feature_that_is_not_in_the_table_is_named():
-    with pytest.raises(FeatureTableError, match="colour"):
-        columns_by_name(made_up_runs(20), ("colour",))

@@ -10,7 +10,7 @@ import numpy as np
 from roadgrip.units import WINDOW_S, FloatArray
 from rsu_app.domain.change import ChangeKind, ChangePolicy, ChangeState, changes, mu_since_change, observe
 from rsu_app.domain.interval import MEDIAN_TYRE_RATIO, median_of_ordered
-from training.study.chapter import Cell, Chapter, Claim, Result, Table, Verdict, Workbench
+from training.study.chapter import Arrays, Chapter, Claim, Result, Table, Verdict, Workbench
 from training.study.generalise.passages import Traffic, drawn_passages
 from training.study.picture import Axis, Line, Lines
 from vehicle_client.simulator.plan import SensorGrade
@@ -21,7 +21,7 @@ DROPS_FRAC = (0.2, 0.4, 0.6)
 VEHICLES_PER_HOUR = (10, 20, 40, 60)
 BUSY_PER_HOUR = 60
 RUNS_COUNT = 200
-QUICK_RUNS_COUNT = 30
+QUICK_RUNS_COUNT = 8
 MONTH_HOURS = 720
 MONTHS_COUNT = 12
 QUICK_MONTHS_COUNT = 1
@@ -30,7 +30,15 @@ LIE_RATIO = 0.5
 """What liars say over what there is: enough to look like ice."""
 LIARS_FRAC = (0.0, 0.1, 0.3)
 SLOW_HOURS = 3.0
+SLOW_AFTER_RATIO = 0.5
 HALF_HOUR_S = 1800.0
+
+CHANGES: tuple[tuple[ChangeKind, float], ...] = (
+    *((ChangeKind.DROP, round(1.0 - drop, 2)) for drop in DROPS_FRAC),
+    (ChangeKind.RISE, 1.5),
+    (ChangeKind.RISE, 2.5),
+)
+"""Sudden ones, and what they leave of the friction."""
 
 Course = Callable[[FloatArray], FloatArray]
 """What a new tyre finds, by the time of its passage."""
@@ -162,69 +170,94 @@ def false_alarms_count(
 
 
 def compute(bench: Workbench, grade: SensorGrade) -> Result:
-    """Answer for vehicles of known errors; the sensors play no part."""
+    """Answer for vehicles of known errors; the sensors play no part, so all grades share what is computed."""
     del grade
     runs_count = QUICK_RUNS_COUNT if bench.quick else RUNS_COUNT
     months_count = QUICK_MONTHS_COUNT if bench.quick else MONTHS_COUNT
-    figures: dict[str, float] = {}
-    delay_rows: list[tuple[Cell, ...]] = []
-    error_rows: list[tuple[Cell, ...]] = []
-    changes_told = [
-        *((ChangeKind.DROP, 1.0 - drop) for drop in DROPS_FRAC),
-        *((ChangeKind.RISE, r) for r in (1.5, 2.5)),
-    ]
-    for done, (kind, after_ratio) in enumerate(changes_told):
-        bench.report("sudden changes", done, len(changes_told))
-        for rate in VEHICLES_PER_HOUR:
-            name = f"{kind.value}_to_{round(100 * after_ratio)}.{rate}"
-            found = _sudden(kind, after_ratio, rate, runs_count, bench.seed)
-            figures |= {f"{name}.{key}": value for key, value in found.items()}
-            change_name = f"{kind.value} to {100 * after_ratio:.0f} %"
-            delay_rows.append(
-                (
-                    change_name,
-                    rate,
-                    *(found[key] for key in ("median_count", "p90_count", "unseen_frac", "unseen_in_hour_frac")),
-                )
-            )
-            error_rows.append((change_name, rate, *(100.0 * found[f"error.{middle}"] for middle in MIDPOINTS)))
-    for rate in VEHICLES_PER_HOUR:
-        found = _slow(0.5, rate, runs_count // 2, bench.seed)
-        figures |= {f"slow_to_50.{rate}.error.{middle}": value for middle, value in found.items()}
-        error_rows.append((f"to 50 % within {SLOW_HOURS:.0f} h", rate, *(100.0 * found[m] for m in MIDPOINTS)))
-    alarm_rows = _alarms(figures, months_count, bench)
+    figures = _remembered_figures(bench, runs_count=runs_count, months_count=months_count)
     return Result(
         figures=figures,
         sizes={"runs": runs_count, "months": months_count, "seed": bench.seed},
-        tables=(
-            Table(
-                "How soon a change is seen",
-                (
-                    "change",
-                    "vehicles per hour",
-                    "vehicles, median",
-                    "vehicles, 90 %",
-                    "share not seen",
-                    "the same, remembering an hour",
-                ),
-                tuple(delay_rows),
-                "Counted from the first vehicle after the change, in the hour after it; the detector remembers three "
-                "hours, and in the last column no more than the window holds.",
-            ),
-            Table(
-                "Error of the published middle while friction changes, in per cent",
-                ("change", "vehicles per hour", *MIDPOINTS),
-                tuple(error_rows),
-                "Mean magnitude at every vehicle of the hour after a sudden change, or while a slow one lasts.",
-            ),
-            Table(
-                "False alarms in a month of 60 vehicles an hour",
-                ("noise, per cent", "liars, per cent", "drops", "rises"),
-                tuple(alarm_rows),
-                "Steady road, 3 % outliers; liars say half of what there is.",
-            ),
+        tables=(_delay_table(figures), _error_table(figures), _alarm_table(figures)),
+        pictures=(_picture(bench, max(5, runs_count // 4)),),
+    )
+
+
+def _remembered_figures(bench: Workbench, *, runs_count: int, months_count: int) -> dict[str, float]:
+    def work() -> Arrays:
+        figures: dict[str, float] = {}
+        for done, (kind, after_ratio) in enumerate(CHANGES):
+            bench.report("sudden changes", done, len(CHANGES))
+            for rate in VEHICLES_PER_HOUR:
+                found = _sudden(kind, after_ratio, rate, runs_count, bench.seed)
+                figures |= {f"{_key(kind, after_ratio, rate)}.{name}": value for name, value in found.items()}
+        for rate in VEHICLES_PER_HOUR:
+            found = _slow(SLOW_AFTER_RATIO, rate, runs_count // 2, bench.seed)
+            figures |= {f"slow_to_50.{rate}.error.{middle}": value for middle, value in found.items()}
+        return {name: np.array(value) for name, value in (figures | _alarms(bench, months_count)).items()}
+
+    return {name: float(value) for name, value in bench.remembered(f"change-{bench.seed}", work).items()}
+
+
+def _key(kind: ChangeKind, after_ratio: float, rate: float) -> str:
+    return f"{kind.value}_to_{round(100 * after_ratio)}.{rate}"
+
+
+def _delay_table(figures: Mapping[str, float]) -> Table:
+    names = ("median_count", "p90_count", "unseen_frac", "unseen_in_hour_frac")
+    return Table(
+        "How soon a change is seen",
+        (
+            "change",
+            "vehicles per hour",
+            "vehicles, median",
+            "vehicles, 90 %",
+            "share not seen",
+            "the same, remembering an hour",
         ),
-        pictures=(_picture(bench.seed, runs_count),),
+        tuple(
+            (
+                f"{kind.value} to {100 * after_ratio:.0f} %",
+                rate,
+                *(figures[f"{_key(kind, after_ratio, rate)}.{name}"] for name in names),
+            )
+            for kind, after_ratio in CHANGES
+            for rate in VEHICLES_PER_HOUR
+        ),
+        "Counted from the first vehicle after the change, in the hour after it; the detector remembers three "
+        "hours, and in the last column no more than the window holds.",
+    )
+
+
+def _error_table(figures: Mapping[str, float]) -> Table:
+    rows = [
+        (f"{kind.value} to {100 * after_ratio:.0f} %", rate, _key(kind, after_ratio, rate))
+        for kind, after_ratio in CHANGES
+        for rate in VEHICLES_PER_HOUR
+    ]
+    rows += [(f"to 50 % within {SLOW_HOURS:.0f} h", rate, f"slow_to_50.{rate}") for rate in VEHICLES_PER_HOUR]
+    return Table(
+        "Error of the published middle while friction changes, in per cent",
+        ("change", "vehicles per hour", *MIDPOINTS),
+        tuple((what, rate, *(100.0 * figures[f"{key}.error.{m}"] for m in MIDPOINTS)) for what, rate, key in rows),
+        "Mean magnitude at every vehicle of the hour after a sudden change, or while a slow one lasts.",
+    )
+
+
+def _alarm_table(figures: Mapping[str, float]) -> Table:
+    return Table(
+        "False alarms in a month of 60 vehicles an hour",
+        ("noise, per cent", "liars, per cent", "drops", "rises"),
+        tuple(
+            (
+                100.0 * noise_ratio,
+                100.0 * liars_frac,
+                *(figures[f"{_alarm_key(noise_ratio, liars_frac)}.{kind.value}"] for kind in ChangeKind),
+            )
+            for noise_ratio in NOISES_RATIO
+            for liars_frac in LIARS_FRAC
+        ),
+        "Steady road, 3 % outliers; liars say half of what there is.",
     )
 
 
@@ -258,22 +291,24 @@ def _slow(after_ratio: float, rate: float, runs_count: int, seed: int) -> dict[s
     return {middle: float(np.nanmean([error[middle] for error in errors])) for middle in MIDPOINTS}
 
 
-def _alarms(figures: dict[str, float], months_count: int, bench: Workbench) -> list[tuple[Cell, ...]]:
-    rows: list[tuple[Cell, ...]] = []
-    for noise_ratio in NOISES_RATIO:
-        for liars_frac in LIARS_FRAC:
-            bench.report("months without a change", len(rows), len(NOISES_RATIO) * len(LIARS_FRAC))
-            found = false_alarms_count(
-                np.random.default_rng([bench.seed, len(rows)]),
-                vehicles_count=months_count * MONTH_HOURS * BUSY_PER_HOUR,
-                noise_ratio=noise_ratio,
-                liars_frac=liars_frac,
-            )
-            monthly = [found[kind] / months_count for kind in ChangeKind]
-            rows.append((100.0 * noise_ratio, 100.0 * liars_frac, *monthly))
-            name = f"false_alarms.noise{round(100 * noise_ratio)}.liars{round(100 * liars_frac)}"
-            figures |= {f"{name}.{kind.value}": count for kind, count in zip(ChangeKind, monthly, strict=True)}
-    return rows
+def _alarms(bench: Workbench, months_count: int) -> dict[str, float]:
+    figures: dict[str, float] = {}
+    settings = [(noise_ratio, liars_frac) for noise_ratio in NOISES_RATIO for liars_frac in LIARS_FRAC]
+    for done, (noise_ratio, liars_frac) in enumerate(settings):
+        bench.report("months without a change", done, len(settings))
+        found = false_alarms_count(
+            np.random.default_rng([bench.seed, done]),
+            vehicles_count=months_count * MONTH_HOURS * BUSY_PER_HOUR,
+            noise_ratio=noise_ratio,
+            liars_frac=liars_frac,
+        )
+        key = _alarm_key(noise_ratio, liars_frac)
+        figures |= {f"{key}.{kind.value}": found[kind] / months_count for kind in ChangeKind}
+    return figures
+
+
+def _alarm_key(noise_ratio: float, liars_frac: float) -> str:
+    return f"false_alarms.noise{round(100 * noise_ratio)}.liars{round(100 * liars_frac)}"
 
 
 def _quantile(counts: list[float], share_frac: float) -> float:
@@ -282,33 +317,34 @@ def _quantile(counts: list[float], share_frac: float) -> float:
     return value if np.isfinite(value) else np.nan
 
 
-def _picture(seed: int, runs_count: int) -> Lines:
+def _picture(bench: Workbench, runs_count: int) -> Lines:
     """Return what is published around a drop, in the mean over roads."""
     at_s = np.arange(-1200.0, WINDOW_S + 1.0, 120.0)
-    said: dict[str, list[float]] = {name: [] for name in MIDPOINTS}
-    for number in range(max(5, runs_count // 4)):
-        rng = np.random.default_rng([seed, number, 7])
-        drive = driven(rng, sudden(0.6), from_s=-MEMORY_S, until_s=WINDOW_S, vehicles_per_hour=BUSY_PER_HOUR)
-        for now_s in at_s.tolist():
-            passed = int(np.searchsorted(drive.left_at_s, now_s, side="right"))
-            now = published_mu(drive.left_at_s[:passed], drive.mu[:passed], now_s=now_s)
-            for name in MIDPOINTS:
-                said[name].append(now[name])
+
+    def work() -> Arrays:
+        said: dict[str, list[float]] = {name: [] for name in MIDPOINTS}
+        for number in range(runs_count):
+            rng = np.random.default_rng([bench.seed, number, 7])
+            drive = driven(rng, sudden(0.6), from_s=-MEMORY_S, until_s=WINDOW_S, vehicles_per_hour=BUSY_PER_HOUR)
+            for now_s in at_s.tolist():
+                passed = int(np.searchsorted(drive.left_at_s, now_s, side="right"))
+                now = published_mu(drive.left_at_s[:passed], drive.mu[:passed], now_s=now_s)
+                for name in MIDPOINTS:
+                    said[name].append(now[name])
+        return {name: np.nanmean(np.reshape(mu, (runs_count, len(at_s))), axis=0) for name, mu in said.items()}
+
     minutes = tuple((at_s / 60.0).tolist())
     truth = tuple((MEDIAN_TYRE_RATIO * sudden(0.6)(at_s)).tolist())
+    said = bench.remembered(f"change-picture-{bench.seed}", work)
     return Lines(
         title="What is published around a drop by 40 %, 60 vehicles an hour",
         x_axis=Axis("minutes after the drop"),
         y_axis=Axis("middle of the interval", low=0.2, high=0.5),
         lines=(
             Line("truth", minutes, truth, dashed=True),
-            *(Line(name, minutes, _mean_course(values, len(at_s))) for name, values in said.items()),
+            *(Line(name, minutes, tuple(said[name].tolist())) for name in MIDPOINTS),
         ),
     )
-
-
-def _mean_course(values: list[float], times_count: int) -> tuple[float, ...]:
-    return tuple(np.nanmean(np.reshape(values, (-1, times_count)), axis=0).tolist())
 
 
 def verdict(results: Mapping[SensorGrade, Result]) -> Verdict:

@@ -13,16 +13,15 @@ from training.fit_parameters import FitParameters, Target
 from training.regressor import RowIndices, grow_trees
 from training.study.chapter import Arrays, Cell, Chapter, Claim, Result, Table, Verdict, Workbench
 from training.study.distributions import per_cent
-from training.study.generalise.estimates import RANDOM_ROADS_SET, estimates_by_strangers, road_folds
+from training.study.folds import RANDOM_ROADS_SET, estimates_by_strangers, learner, road_folds, rows_by_name
 from training.study.generalise.held_out import (
     HIGH_UTILISATION_RATIO,
     UTILISATION_BANDS,
     band_name,
     band_of,
     mean_by_road,
-    rows_by_name,
 )
-from training.study.paper_features import PAPER_FEATURES, columns_by_name
+from training.study.paper_features import PAPER_FEATURES
 from training.study.picture import Axis, Bars
 from training.study.recipes import BEST_RECIPE, FIRST_GUESS, Estimator, Learner, Recipe, mends_first_guess
 from training.study.wording import by_grade, leading_grade, listed
@@ -63,6 +62,7 @@ RANKING_FIT = FitParameters(
     row_share_frac=0.7,
     column_share_frac=0.4,
     target=Target.LOG_MU,
+    bins_count=64,
 )
 """Finds which features matter; not what they are judged by."""
 NAMED_COUNT = 20
@@ -264,8 +264,8 @@ def _estimates(bench: Workbench, grade: SensorGrade, recipe: Recipe) -> FloatArr
         runs = bench.runs(RANDOM_ROADS_SET, grade)
         rows = rows_by_name(runs)
         fold = road_folds([runs.section_id[i] for i in rows.tolist()], seed=bench.seed) % JUDGED_FOLDS_COUNT
-        features, label = columns_by_name(runs, recipe.features)[rows], runs.labels["label_mu"][rows]
-        return {"mu": estimates_by_strangers(recipe, features, label, fold=fold)}
+        features, label = runs.columns(recipe.features)[rows], runs.labels["label_mu"][rows]
+        return {"mu": estimates_by_strangers(learner(bench, recipe), features, label, fold=fold)}
 
     return bench.remembered(f"features-{grade}-{recipe.key}-{bench.seed}", work)["mu"]
 
@@ -274,7 +274,7 @@ def _ranked(bench: Workbench, grade: SensorGrade) -> tuple[str, ...]:
     def work() -> Arrays:
         runs = bench.runs(RANDOM_ROADS_SET, grade)
         rows = rows_by_name(runs)
-        order = columns_by_gain(columns_by_name(runs, FEATURE_NAMES)[rows], runs.labels["label_mu"][rows])
+        order = columns_by_gain(runs.columns(FEATURE_NAMES)[rows], runs.labels["label_mu"][rows])
         return {"order": order.astype(np.float64)}
 
     order = bench.remembered(f"features-by-gain-{grade}", work)["order"].astype(np.intp)

@@ -1,7 +1,8 @@
-"""Estimates of passages on roads of which nothing was learned, with the error to expect of each.
+"""Estimates of passages by strangers, mostly to the road, or else to the drive; with the error to expect of each.
 
-Everything is learned from other roads: the friction, and the error to expect, which a second regressor learns from what
-the first one got wrong on roads that it had not seen. Both see the features alone, as the models of a bundle do.
+Whose road is strange, everything is learned from other roads: the friction, and the error to expect, which a second
+regressor learns from what the first one got wrong on roads that it had not seen. Both see the features alone, as the
+models of a bundle do.
 """
 
 from __future__ import annotations
@@ -14,23 +15,26 @@ import numpy as np
 from roadgrip.units import BoolArray, FloatArray
 from training.accuracy import mape_ratio
 from training.dataset import Runs
-from training.fit_parameters import FitParameters
-from training.regressor import RowIndices
+from training.error_model import LEAST_MU, grow_error_trees, log_error_ratio
+from training.regressor import RowIndices, estimate_mu
 from training.study.chapter import Arrays, Workbench
-from training.study.folds import PAPER_SET
-from training.study.generalise.estimates import RANDOM_ROADS_SET, estimates_by_strangers, road_folds
-from training.study.paper_features import columns_by_name
-from training.study.recipes import Boosted, Recipe
+from training.study.folds import (
+    FOLDS_COUNT,
+    PAPER_SET,
+    RANDOM_ROADS_SET,
+    estimates_by_strangers,
+    fold_numbers,
+    learner,
+    paper_estimates,
+    road_folds,
+    rows_by_name,
+)
+from training.study.generalise.passages import Passages
+from training.study.recipes import Estimator, Learner, Recipe
 from vehicle_client.simulator.plan import SensorGrade
 
-EXPECTED_ERROR = Boosted(
-    FitParameters(trees_count=150, depth_count=4, learning_rate_ratio=0.05, row_share_frac=0.7, column_share_frac=0.4)
-)
-"""How the error to expect is learned: a mean, of a quantity that is mostly noise, so by few and shallow trees."""
 LEAST_ERROR_RATIO = 0.002
-"""Trees of squared errors may come out below zero."""
-LEAST_MU = 1e-3
-"""Trees of friction may, too."""
+"""Nobody is believed to be surer."""
 SUREST_FRAC = 0.8
 """Share of the passages that the study's headline keeps: those with the least error to expect."""
 HIGH_UTILISATION_RATIO = 0.6
@@ -46,8 +50,21 @@ UTILISATION_BANDS: tuple[tuple[float, float], ...] = (
 
 
 @dataclass(frozen=True, slots=True)
+class ErrorTrees:
+    """The learner of the error to expect: the trees that bundles have for it, one thread each."""
+
+    def __call__(self, features: FloatArray, error_ratio: FloatArray) -> Estimator:
+        """Return what the trees make of features: the magnitude of the error on the logarithm, positive."""
+        booster = grow_error_trees(features, error_ratio, threads_count=1)
+        return lambda rows: estimate_mu(booster, rows, threads_count=1)
+
+
+EXPECTED_ERROR: Learner = ErrorTrees()
+
+
+@dataclass(frozen=True, slots=True)
 class HeldOut:
-    """Passages that kept to the road, and what strangers to the road made of them.
+    """Passages that kept to the road, and what strangers made of them.
 
     Attributes:
         runs: All runs of the data set.
@@ -97,9 +114,28 @@ class HeldOut:
         """The road of each. (m,)"""
         return tuple(self.runs.section_id[i] for i in self.rows.tolist())
 
+    def of_all_runs(self, values: FloatArray) -> FloatArray:
+        """Return one value, or one line of them, for every run of the data set; NaN where none was judged. (runs, ...)
+
+        Args:
+            values: One per passage. (m, ...)
+        """
+        whole = np.full((len(self.runs), *values.shape[1:]), np.nan)
+        whole[self.rows] = values
+        return whole
+
+    @property
+    def passages(self) -> Passages:
+        """What they say, for every run of the data set; none is taken for a bound. (runs,)"""
+        return Passages(
+            mu=self.of_all_runs(np.maximum(self.mu, LEAST_MU)),
+            expected_error_ratio=self.of_all_runs(self.expected_error_ratio),
+            at_least=np.zeros(len(self.runs), dtype=np.bool_),
+        )
+
     def column(self, name: str) -> FloatArray:
         """Return a feature of each. (m,)"""
-        return columns_by_name(self.runs, (name,))[self.rows, 0]
+        return self.runs.columns((name,))[self.rows, 0]
 
     def part(self, chosen: BoolArray) -> HeldOut:
         """Return some of the passages."""
@@ -125,12 +161,12 @@ def held_out(bench: Workbench, grade: SensorGrade, recipe: Recipe, *, data_set: 
     def work() -> Arrays:
         runs = bench.runs(data_set, grade)
         rows = rows_by_name(runs)
-        features, label = columns_by_name(runs, recipe.features)[rows], runs.labels["label_mu"][rows]
+        features, label = runs.columns(recipe.features)[rows], runs.labels["label_mu"][rows]
         fold = road_folds([runs.section_id[i] for i in rows.tolist()], seed=bench.seed)
         bench.report(f"unseen roads, {recipe.name}, {grade}", 0, 2)
-        mu = estimates_by_strangers(recipe, features, label, fold=fold)
+        mu = estimates_by_strangers(learner(bench, recipe), features, label, fold=fold)
         bench.report(f"unseen roads, {recipe.name}, {grade}", 1, 2)
-        expected = estimates_by_strangers(replace(recipe, learn=EXPECTED_ERROR), features, _miss(mu, label), fold=fold)
+        expected = estimates_by_strangers(EXPECTED_ERROR, features, log_error_ratio(mu, label), fold=fold)
         return _arrays(rows, fold, mu, expected)
 
     found = bench.remembered(f"held-out-{data_set}-{grade}-{recipe.key}-{bench.seed}", work)
@@ -151,15 +187,31 @@ def on_other_roads(bench: Workbench, grade: SensorGrade, recipe: Recipe, *, data
         learned = held_out(bench, grade, recipe)
         judged = bench.runs(data_set, grade)
         rows = rows_by_name(judged)
-        features, there = columns_by_name(learned.runs, recipe.features)[learned.rows], judged.columns(recipe.features)
+        features, there = learned.runs.columns(recipe.features)[learned.rows], judged.columns(recipe.features)
         if len(rows) == 0:
             return _arrays(rows, rows, np.empty(0), np.empty(0))
-        mu = recipe.learn(features, learned.label_mu)(there[rows])
+        mu = learner(bench, recipe)(features, learned.label_mu)(there[rows])
         expected = EXPECTED_ERROR(features, np.abs(learned.log_ratio))(there[rows])
         return _arrays(rows, np.zeros_like(rows), mu, expected)
 
     found = bench.remembered(f"other-roads-{data_set}-{grade}-{recipe.key}-{bench.seed}", work)
     return _held_out(bench.runs(data_set, grade), found)
+
+
+def on_known_roads(bench: Workbench, grade: SensorGrade, recipe: Recipe) -> HeldOut:
+    """Return the paper's runs, each judged by regressors that know its road and not the drive."""
+
+    def work() -> Arrays:
+        runs = bench.runs(PAPER_SET, grade)
+        rows = rows_by_name(runs)
+        mu = paper_estimates(bench, grade, features=recipe.features, recipe=recipe)[rows]
+        features, miss = runs.columns(recipe.features)[rows], log_error_ratio(mu, runs.labels["label_mu"][rows])
+        # Dealt as the estimates are.
+        fold = fold_numbers(len(rows), FOLDS_COUNT, seed=bench.seed)
+        return _arrays(rows, fold, mu, estimates_by_strangers(EXPECTED_ERROR, features, miss, fold=fold))
+
+    found = bench.remembered(f"known-roads-{grade}-{recipe.key}-{bench.seed}", work)
+    return _held_out(bench.runs(PAPER_SET, grade), found)
 
 
 def left_out_roads(bench: Workbench, grade: SensorGrade, recipe: Recipe) -> HeldOut:
@@ -173,18 +225,12 @@ def left_out_roads(bench: Workbench, grade: SensorGrade, recipe: Recipe) -> Held
         runs = bench.runs(PAPER_SET, grade)
         rows = rows_by_name(runs)
         fold = np.unique(np.array(runs.section_id)[rows], return_inverse=True)[1]
-        features, label = columns_by_name(runs, recipe.features)[rows], runs.labels["label_mu"][rows]
-        mu = estimates_by_strangers(recipe, features, label, fold=fold)
+        features, label = runs.columns(recipe.features)[rows], runs.labels["label_mu"][rows]
+        mu = estimates_by_strangers(learner(bench, recipe), features, label, fold=fold)
         return _arrays(rows, fold, mu, np.full(len(rows), np.nan))
 
     found = bench.remembered(f"left-out-{grade}-{recipe.key}-{bench.seed}", work)
     return _held_out(bench.runs(PAPER_SET, grade), found)
-
-
-def rows_by_name(runs: Runs) -> RowIndices:
-    """Return the rows that have a summary, by the names of the runs: no fold hangs on the order of the rows. (m,)"""
-    order = np.argsort(np.array(runs.run_key), kind="stable")
-    return order[runs.usable[order]]
 
 
 def mean_by_road(values: FloatArray, roads: tuple[str, ...]) -> FloatArray:
@@ -219,10 +265,6 @@ def band_name(band: tuple[float, float], *, unit: str = "") -> str:
     if low <= 0.0:
         return f"below {high:g}{unit}"
     return f"{low:g}{unit} and more" if np.isinf(high) else f"{low:g} to {high:g}{unit}"
-
-
-def _miss(mu: FloatArray, label_mu: FloatArray) -> FloatArray:
-    return np.abs(np.log(np.maximum(mu, LEAST_MU) / label_mu))
 
 
 def _arrays(rows: RowIndices, fold: RowIndices, mu: FloatArray, expected: FloatArray) -> Arrays:

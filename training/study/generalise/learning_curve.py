@@ -12,10 +12,8 @@ from training.accuracy import mape_ratio
 from training.dataset import DatasetError
 from training.study.chapter import Arrays, Cell, Chapter, Claim, Result, Table, Verdict, Workbench
 from training.study.distributions import per_cent
-from training.study.folds import side_by_side
-from training.study.generalise.estimates import RANDOM_ROADS_SET
-from training.study.generalise.held_out import rows_by_name
-from training.study.paper_features import PAPER_FEATURES, columns_by_name
+from training.study.folds import RANDOM_ROADS_SET, learner, rows_by_name, side_by_side
+from training.study.paper_features import PAPER_FEATURES
 from training.study.picture import Axis, Line, Lines
 from training.study.recipes import BEST_RECIPE, PAPER_RECIPE, Recipe
 from training.study.wording import by_grade, leading_grade
@@ -109,7 +107,7 @@ def _curve(bench: Workbench, grade: SensorGrade, recipe: Recipe) -> Arrays:
     def work() -> Arrays:
         runs = bench.runs(RANDOM_ROADS_SET, grade)
         rows = rows_by_name(runs)
-        features, label = columns_by_name(runs, recipe.features)[rows], runs.labels["label_mu"][rows]
+        features, label = runs.columns(recipe.features)[rows], runs.labels["label_mu"][rows]
         roads, road = np.unique(np.array(runs.section_id)[rows], return_inverse=True)
         dealt = np.random.default_rng([bench.seed, len(roads)]).permutation(len(roads))
         judged_count = max(1, round(JUDGED_FRAC * len(roads)))
@@ -126,7 +124,7 @@ def _curve(bench: Workbench, grade: SensorGrade, recipe: Recipe) -> Arrays:
 
         def learn(number: int) -> None:
             learned = np.isin(road, hands[number][1])
-            mu = recipe.learn(features[learned], label[learned])(features[judged])
+            mu = learner(bench, recipe)(features[learned], label[learned])(features[judged])
             found[number] = mape_ratio(label[judged], mu)
 
         side_by_side(

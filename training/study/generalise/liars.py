@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from roadgrip.units import FloatArray
 from rsu_app.domain.interval import MEDIAN_TYRE_RATIO, WORN_TYRE_RATIO
-from training.study.chapter import Cell, Chapter, Claim, Result, Table, Verdict, Workbench
+from training.study.chapter import Arrays, Cell, Chapter, Claim, Result, Table, Verdict, Workbench
 from training.study.generalise.passages import Passages, Traffic, drawn_passages
 from training.study.generalise.rules import LOOSE, MEDIAN, POLICY, POSTERIOR, REFINED, RULES, interval_of
 from training.study.picture import Axis, Line, Lines
@@ -19,7 +19,7 @@ MU_NEW = 0.5
 VEHICLES_COUNT = 50
 LIARS_FRAC = 0.3
 WINDOWS_COUNT = 400
-QUICK_WINDOWS_COUNT = 60
+QUICK_WINDOWS_COUNT = 40
 SWEEP_RATIO = np.geomspace(0.5, 2.0, 41)
 """What liars say together, over what a new tyre finds."""
 SHARES_FRAC = (0.05, 0.1, 0.2, 0.3, 0.4)
@@ -89,71 +89,124 @@ def with_liars(honest: Passages, strategy: Strategy, rng: np.random.Generator, *
     return Passages(mu, error, at_least)
 
 
-def mean_shift_ratio(strategy: Strategy, *, liars_frac: float, windows_count: int, seed: int) -> dict[str, float]:
+@dataclass(frozen=True, slots=True)
+class Window:
+    """What vehicles say before any of them lies.
+
+    Attributes:
+        number: Of the window; what liars say follows from it.
+        honest: What all say.
+        answers_mu: What each rule makes of that.
+    """
+
+    number: int
+    honest: Passages
+    answers_mu: Mapping[str, float]
+
+
+def honest_windows(windows_count: int, *, seed: int) -> tuple[Window, ...]:
+    """Return windows without a lie, drawn by chance; the same ones for every strategy and rule."""
+    windows = []
+    for number in range(windows_count):
+        rng = np.random.default_rng([seed, number])
+        honest = drawn_passages(rng, VEHICLES_COUNT, mu_new=MU_NEW, traffic=Traffic())
+        windows.append(Window(number, honest, {name: RULES[name](honest) for name in COMPARED}))
+    return tuple(windows)
+
+
+def mean_shift_ratio(
+    strategy: Strategy, windows: Sequence[Window], *, liars_frac: float, seed: int
+) -> dict[str, float]:
     """Return by how much liars shift each rule's answer in the mean over windows, relative; signed.
 
     Args:
         strategy: What they say.
+        windows: In which they say it.
         liars_frac: Their share.
-        windows_count: Windows that are drawn; the same for every strategy and rule.
-        seed: Of the windows.
+        seed: Of what they say.
     """
     shifts: dict[str, list[float]] = {name: [] for name in COMPARED}
-    for number in range(windows_count):
-        rng = np.random.default_rng([seed, number])
-        honest = drawn_passages(rng, VEHICLES_COUNT, mu_new=MU_NEW, traffic=Traffic())
-        lied = with_liars(honest, strategy, rng, liars_frac=liars_frac)
+    for window in windows:
+        lied = with_liars(window.honest, strategy, _chance_of_liars(window, seed), liars_frac=liars_frac)
         for name in COMPARED:
-            shifts[name].append(RULES[name](lied) / RULES[name](honest) - 1.0)
+            shifts[name].append(RULES[name](lied) / window.answers_mu[name] - 1.0)
     return {name: float(np.mean(values)) for name, values in shifts.items()}
 
 
+def _chance_of_liars(window: Window, seed: int) -> np.random.Generator:
+    return np.random.default_rng([seed, window.number, 1])
+
+
 def compute(bench: Workbench, grade: SensorGrade) -> Result:
-    """Answer for vehicles of known errors; the sensors play no part."""
+    """Answer for vehicles of known errors; the sensors play no part, so all grades share what is computed."""
     del grade
     windows_count = QUICK_WINDOWS_COUNT if bench.quick else WINDOWS_COUNT
-    by_strategy = {}
-    for done, strategy in enumerate(STRATEGIES):
-        bench.report("strategies of liars", done, len(STRATEGIES))
-        by_strategy[strategy.name] = mean_shift_ratio(
-            strategy, liars_frac=LIARS_FRAC, windows_count=windows_count, seed=bench.seed
-        )
-    sweep = [
-        mean_shift_ratio(
-            Strategy("", all_say(ratio)), liars_frac=LIARS_FRAC, windows_count=windows_count // 4, seed=bench.seed
-        )
-        for ratio in SWEEP_RATIO.tolist()
-    ]
-    by_share = {share: _worst_by_share(share, windows_count // 4, bench.seed) for share in SHARES_FRAC}
+
+    def work() -> Arrays:
+        return _shifts(bench, honest_windows(windows_count, seed=bench.seed))
+
+    found = bench.remembered(f"liars-{bench.seed}", work)
+    by_strategy = {strategy.name: line for strategy, line in zip(STRATEGIES, _lines(found["strategy"]), strict=True)}
+    sweep = _lines(found["sweep"])
     worst = {name: max(abs(shift[name]) for shift in (*by_strategy.values(), *sweep)) for name in COMPARED}
-    figures = {f"worst_shift.{name}": value for name, value in worst.items()}
-    figures |= {"half_width_holds_frac": _held_frac(windows_count, bench.seed)}
     return Result(
-        figures=figures,
+        figures={
+            **{f"worst_shift.{name}": value for name, value in worst.items()},
+            "half_width_holds_frac": float(found["half_width_holds_frac"]),
+        },
         sizes={"windows": windows_count, "vehicles": VEHICLES_COUNT, "seed": bench.seed},
-        tables=(_strategy_table(by_strategy, worst), _share_table(by_share)),
+        tables=(
+            _strategy_table(by_strategy, worst),
+            _share_table(dict(zip(SHARES_FRAC, _lines(found["share"]), strict=True))),
+        ),
         pictures=(_sweep_picture(sweep),),
     )
 
 
-def _worst_by_share(liars_frac: float, windows_count: int, seed: int) -> dict[str, float]:
-    coarse = SWEEP_RATIO[::2].tolist()
-    shifts = [
-        mean_shift_ratio(Strategy("", all_say(ratio)), liars_frac=liars_frac, windows_count=windows_count, seed=seed)
-        for ratio in coarse
+def _shifts(bench: Workbench, windows: Sequence[Window]) -> Arrays:
+    """Return what all liars gain: by strategy, by value and by share one line each, rules as in `COMPARED`."""
+    few = windows[: len(windows) // 4]
+    by_strategy = []
+    for done, strategy in enumerate(STRATEGIES):
+        bench.report("strategies of liars", done, len(STRATEGIES))
+        by_strategy.append(mean_shift_ratio(strategy, windows, liars_frac=LIARS_FRAC, seed=bench.seed))
+    by_share = []
+    for done, share in enumerate(SHARES_FRAC):
+        bench.report("shares of liars", done, len(SHARES_FRAC))
+        shifts = _sweep(SWEEP_RATIO[::2], few, liars_frac=share, seed=bench.seed)
+        by_share.append({name: max(abs(shift[name]) for shift in shifts) for name in COMPARED})
+    return {
+        "strategy": _table_of(by_strategy),
+        "sweep": _table_of(_sweep(SWEEP_RATIO, few, liars_frac=LIARS_FRAC, seed=bench.seed)),
+        "share": _table_of(by_share),
+        "half_width_holds_frac": np.array(_held_frac(windows, bench.seed)),
+    }
+
+
+def _table_of(lines: Sequence[Mapping[str, float]]) -> FloatArray:
+    return np.array([[line[name] for name in COMPARED] for line in lines])
+
+
+def _lines(table: FloatArray) -> list[dict[str, float]]:
+    return [dict(zip(COMPARED, line, strict=True)) for line in table.tolist()]
+
+
+def _sweep(ratios: FloatArray, windows: Sequence[Window], *, liars_frac: float, seed: int) -> list[dict[str, float]]:
+    """Return the shift of each rule by liars who agree on a value, for every value."""
+    return [
+        mean_shift_ratio(Strategy("", all_say(ratio)), windows, liars_frac=liars_frac, seed=seed)
+        for ratio in ratios.tolist()
     ]
-    return {name: max(abs(shift[name]) for shift in shifts) for name in COMPARED}
 
 
-def _held_frac(windows_count: int, seed: int) -> float:
+def _held_frac(windows: Sequence[Window], seed: int) -> float:
     """Return the share of windows with liars whose half-width, told of three liars in ten, still holds the truth."""
     policy = replace(POLICY, liars_frac=LIARS_FRAC)
     held = []
-    for number in range(windows_count):
-        rng = np.random.default_rng([seed, number])
-        honest = drawn_passages(rng, VEHICLES_COUNT, mu_new=MU_NEW, traffic=Traffic())
-        strategy = STRATEGIES[number % len(STRATEGIES)]
-        placed = interval_of(with_liars(honest, strategy, rng, liars_frac=LIARS_FRAC), policy=policy)
+    for window in windows:
+        strategy = STRATEGIES[window.number % len(STRATEGIES)]
+        lied = with_liars(window.honest, strategy, _chance_of_liars(window, seed), liars_frac=LIARS_FRAC)
+        placed = interval_of(lied, policy=policy)
         held.append(abs(placed.mu_new - MU_NEW) <= placed.half_width_mu)
     return float(np.mean(held))
 
@@ -182,7 +235,7 @@ def _share_table(by_share: Mapping[float, Mapping[str, float]]) -> Table:
     )
 
 
-def _sweep_picture(sweep: list[dict[str, float]]) -> Lines:
+def _sweep_picture(sweep: Sequence[Mapping[str, float]]) -> Lines:
     x = tuple(SWEEP_RATIO.tolist())
     return Lines(
         title="What liars gain by what they say",

@@ -18,12 +18,12 @@ from training.bundling import learn_envelope
 from training.conformal import conformal_of
 from training.dataset import Runs, joined
 from training.designs import PAPER_ROADS
+from training.error_model import LEAST_MU
 from training.regressor import RowIndices
 from training.study.chapter import Arrays, Workbench
 from training.study.envelopes import Ordinary, learn_whole_envelope
-from training.study.folds import PAPER_SET, fold_numbers, side_by_side
-from training.study.generalise.estimates import RANDOM_ROADS_SET, road_folds
-from training.study.generalise.held_out import EXPECTED_ERROR, LEAST_ERROR_RATIO, LEAST_MU, rows_by_name
+from training.study.folds import PAPER_SET, RANDOM_ROADS_SET, fold_numbers, road_folds, rows_by_name, side_by_side
+from training.study.generalise.held_out import EXPECTED_ERROR, LEAST_ERROR_RATIO
 from training.study.paper_features import KINEMATIC_FEATURES
 from training.study.recipes import Estimator, Recipe
 from vehicle_client.simulator.plan import SensorGrade

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from training.study.chapter import Claim, Result, Verdict
-from training.study.generalise.estimates import RANDOM_ROADS_SET
+from training.study.folds import RANDOM_ROADS_SET
 from training.study.generalise.loop_cases import (
     ANY,
     BEST,

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from roadgrip.units import FloatArray
-from training.study.recipes import Estimator, Recipe
+from training.study.recipes import Estimator, Learner
 
 DEGREE_COUNT = 2
 LEAST_DRIVES_COUNT = 7
@@ -40,16 +40,16 @@ def smoothed_features(features: FloatArray, *, label_mu: FloatArray, roads: Sequ
 
 
 def learned_for_windows(
-    recipe: Recipe, features: FloatArray, *, label_mu: FloatArray, roads: Sequence[str]
+    learn: Learner, features: FloatArray, *, label_mu: FloatArray, roads: Sequence[str]
 ) -> Estimator:
     """Return a regressor of the middle friction for mean features of a window; it knows single drives, too.
 
     Args:
-        recipe: How to learn; its own features are not looked at.
+        learn: How to learn.
         features: Of single drives. (n, columns)
         label_mu: What they found. (n,)
         roads: The road of each. (n,)
     """
     smoothed = smoothed_features(features, label_mu=label_mu, roads=roads)
     quiet = np.isfinite(smoothed).all(axis=1)
-    return recipe.learn(np.vstack([smoothed[quiet], features]), np.concatenate([label_mu[quiet], label_mu]))
+    return learn(np.vstack([smoothed[quiet], features]), np.concatenate([label_mu[quiet], label_mu]))

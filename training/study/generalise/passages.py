@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from roadgrip.bundle import Conformal
 from roadgrip.units import BoolArray, FloatArray
 from rsu_app.domain.interval import WORN_TYRE_RATIO
 from rsu_app.domain.wear import NOISE_PER_EXPECTED_ERROR_RATIO
@@ -33,6 +34,21 @@ class Passages:
     def rows(self, rows: RowIndices) -> Passages:
         """Return some of them, maybe more than once."""
         return Passages(self.mu[rows], self.expected_error_ratio[rows], self.at_least[rows])
+
+    def with_bounds(self, meant: Conformal) -> Passages:
+        """Return the same with doubtful estimates taken for the lower bounds they give, as a unit takes them.
+
+        Args:
+            meant: What the bundle makes of expected errors.
+        """
+        doubtful = self.expected_error_ratio > meant.doubtful_above_ratio
+        bound_mu = self.mu * np.exp(-meant.quantile * self.expected_error_ratio)
+        # A bound has its allowance for errors in it.
+        return Passages(
+            mu=np.where(doubtful, bound_mu, self.mu),
+            expected_error_ratio=np.where(doubtful, 0.0, self.expected_error_ratio),
+            at_least=doubtful,
+        )
 
 
 @dataclass(frozen=True, slots=True)

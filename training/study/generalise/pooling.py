@@ -5,16 +5,26 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from math import isfinite, nan
 
 import numpy as np
 
+from roadgrip.bundle import Conformal
+from roadgrip.units import FloatArray
 from training.regressor import RowIndices
-from training.study.batches import CellErrors, Rule, cells_of, errors_by_cell, published_rule, worst_cell
+from training.study.batches import (
+    Cell,
+    CellErrors,
+    Rule,
+    batches_of_cell,
+    cells_of,
+    errors_of_answers,
+    published_rule,
+    worst_cell,
+)
+from training.study.chapter import Arrays, Chapter, Claim, Result, Table, Verdict, Workbench
 from training.study.chapter import Cell as TableCell
-from training.study.chapter import Chapter, Claim, Result, Table, Verdict, Workbench
-from training.study.folds import PAPER_SET
-from training.study.generalise.estimates import RANDOM_ROADS_SET, Estimated, known_roads, unseen_roads
+from training.study.folds import PAPER_SET, RANDOM_ROADS_SET
+from training.study.generalise.held_out import HeldOut, held_out, on_known_roads, on_other_roads
 from training.study.generalise.passages import Traffic, drawn_passages
 from training.study.generalise.rules import (
     KAPLAN_MEIER,
@@ -30,6 +40,7 @@ from training.study.generalise.rules import (
     relative_errors,
     rule_on_rows,
 )
+from training.study.generalise.uncertainty import recommended
 from training.study.picture import Axis, Line, Lines, Picture
 from training.study.recipes import BEST_RECIPE, PAPER_RECIPE, Recipe
 from vehicle_client.simulator.plan import SensorGrade
@@ -86,34 +97,42 @@ def judged_of(errors: tuple[CellErrors, ...]) -> Judged:
 
 def compute(bench: Workbench, grade: SensorGrade) -> Result:
     """Judge the rules on vehicles of known errors, on known roads and on roads that no regressor has seen."""
-    figures: dict[str, float] = {}
-    tables: list[Table] = []
-    pictures: list[Picture] = []
-    for name, traffic in KINDS_OF_TRAFFIC.items():
-        bench.report(f"vehicles of known errors: {name}", len(tables), len(KINDS_OF_TRAFFIC))
-        found = simulated(traffic, windows_count=_windows_count(bench), seed=bench.seed)
-        figures |= {f"simulated.{name}.{rule}.{size}": value for (rule, size), value in found.items()}
-        tables.append(_simulated_table(name, found))
-        pictures.append(_simulated_picture(name, found))
-    for name, plain in (("widened", False), ("plain", True)):
-        figures[f"half_width.{name}.held_frac"] = held_frac(plain, windows_count=_windows_count(bench), seed=bench.seed)
+    figures = _simulated_figures(bench)
+    tables = [_simulated_table(name, figures) for name in KINDS_OF_TRAFFIC]
+    pictures: list[Picture] = [_simulated_picture(name, figures) for name in KINDS_OF_TRAFFIC]
     sizes = {"windows": _windows_count(bench), "batches": _batches_count(bench), "seed": bench.seed}
     for config, recipe in CONFIGS.items():
-        for where, estimated in (
-            ("known", known_roads(bench, grade, recipe)),
-            ("unseen", unseen_roads(bench, grade, recipe)),
-        ):
-            judged = _driven(bench, grade, f"{where}, {config}", estimated)
-            sizes[f"{where} runs"] = len(estimated.rows)
-            for (rule, size), one in judged.items():
+        known, random = on_known_roads(bench, grade, recipe), held_out(bench, grade, recipe)
+        unseen = on_other_roads(bench, grade, recipe, data_set=PAPER_SET)
+        for where, judged, meant in (("known", known, recommended(known)), ("unseen", unseen, recommended(random))):
+            found = _driven(bench, grade, f"{where}, {config}", judged, meant)
+            sizes[f"{where} runs"] = len(judged)
+            for (rule, size), one in found.items():
                 figures[f"{where}.{config}.{rule}.{size}.mean"] = one.mean_ratio
                 figures[f"{where}.{config}.{rule}.{size}.worst_p95"] = one.worst.p95_ratio
                 figures[f"{where}.{config}.{rule}.{size}.answered_frac"] = one.answered_frac
-            tables += _driven_tables(f"{where} roads, {recipe.name} regressor", judged)
-            pictures.append(_driven_picture(f"{where} roads, {recipe.name} regressor", judged))
+            tables += _driven_tables(f"{where} roads, {recipe.name} regressor", found)
+            pictures.append(_driven_picture(f"{where} roads, {recipe.name} regressor", found))
         # The estimator is chosen beforehand, not the best of many on the very batches that judge them.
         figures[f"headline.{config}.interval10_worst_known_best"] = figures[f"known.{config}.{REFINED}.10.worst_p95"]
     return Result(figures=figures, sizes=sizes, tables=tuple(tables), pictures=tuple(pictures))
+
+
+def _simulated_figures(bench: Workbench) -> dict[str, float]:
+    """Return what vehicles of known errors come to; computed once for all grades, since sensors play no part."""
+
+    def work() -> Arrays:
+        figures: dict[str, float] = {}
+        for done, (name, traffic) in enumerate(KINDS_OF_TRAFFIC.items()):
+            bench.report(f"vehicles of known errors: {name}", done, len(KINDS_OF_TRAFFIC))
+            found = simulated(traffic, windows_count=_windows_count(bench), seed=bench.seed)
+            figures |= {f"simulated.{name}.{rule}.{size}": value for (rule, size), value in found.items()}
+        for name, plain in (("widened", False), ("plain", True)):
+            held = held_frac(plain, windows_count=_windows_count(bench), seed=bench.seed)
+            figures[f"half_width.{name}.held_frac"] = held
+        return {name: np.array(value) for name, value in figures.items()}
+
+    return {name: float(value) for name, value in bench.remembered(f"pooling-simulated-{bench.seed}", work).items()}
 
 
 def simulated(traffic: Traffic, *, windows_count: int, seed: int) -> dict[tuple[str, int], float]:
@@ -153,30 +172,49 @@ def held_frac(plain: bool, *, windows_count: int, seed: int) -> float:  # noqa: 
     return float(np.mean(held))
 
 
-def rules_on(estimated: Estimated) -> dict[str, Rule]:
-    """Return the rules that are compared on driven data, each for the same rows of its table."""
-    plain, bounded = estimated.passages, estimated.with_bounds
-    published, careful = rule_on_rows(RULES[MEDIAN], plain), rule_on_rows(refined_or_nothing_mu, bounded)
+def rules_on(judged: HeldOut, meant: Conformal) -> dict[str, Rule]:
+    """Return the rules that are compared on driven data, each for the same rows of its table.
+
+    Args:
+        judged: The data, and what strangers made of it.
+        meant: What is made of the errors to expect.
+    """
+    plain = judged.passages
     return {
-        FLOOR: published_rule(estimated.runs.labels["label_mu"]),
+        FLOOR: published_rule(judged.runs.labels["label_mu"]),
         **{name: rule_on_rows(RULES[name], plain) for name in JUDGED},
-        BOUNDED_MEDIAN: rule_on_rows(RULES[KAPLAN_MEIER], bounded),
-        BOUNDED: careful,
-        MEDIAN_THERE: lambda rows: published(rows) if isfinite(careful(rows)) else nan,
+        BOUNDED_MEDIAN: rule_on_rows(RULES[KAPLAN_MEIER], plain.with_bounds(meant)),
+        BOUNDED: rule_on_rows(refined_or_nothing_mu, plain.with_bounds(meant)),
     }
 
 
-def _driven(bench: Workbench, grade: SensorGrade, what: str, estimated: Estimated) -> dict[tuple[str, int], Judged]:
-    runs = estimated.runs
-    cells = cells_of(runs.scenario, runs.labels["base_friction_mu"], rows=estimated.rows)
-    rules = rules_on(estimated)
+def _driven(
+    bench: Workbench, grade: SensorGrade, what: str, judged: HeldOut, meant: Conformal
+) -> dict[tuple[str, int], Judged]:
+    cells = cells_of(judged.runs.scenario, judged.runs.labels["base_friction_mu"], rows=judged.rows)
+    rules = rules_on(judged, meant)
     found = {}
     for done, size in enumerate(DRIVEN_SIZES_COUNT):
         bench.report(f"batches, {what}, {grade}", done, len(DRIVEN_SIZES_COUNT))
-        for name, rule in rules.items():
-            errors = errors_by_cell(cells, rule, size_count=size, batches_count=_batches_count(bench), seed=bench.seed)
-            found[name, size] = judged_of(errors)
+        answers = {name: _answers(bench, cells, rule, size) for name, rule in rules.items()}
+        answers[MEDIAN_THERE] = [
+            np.where(np.isfinite(careful), median, np.nan)
+            for careful, median in zip(answers[BOUNDED], answers[MEDIAN], strict=True)
+        ]
+        for name, of_cells in answers.items():
+            pairs = zip(cells, of_cells, strict=True)
+            found[name, size] = judged_of(tuple(errors_of_answers(cell, mu, size_count=size) for cell, mu in pairs))
     return found
+
+
+def _answers(bench: Workbench, cells: tuple[Cell, ...], rule: Rule, size_count: int) -> list[FloatArray]:
+    """Return what a rule answers for the batches of every cell."""
+    count = _batches_count(bench)
+    return [
+        np.array([rule(batch) for batch in batches])
+        for cell in cells
+        for batches in (batches_of_cell(cell, size_count=size_count, batches_count=count, seed=bench.seed),)
+    ]
 
 
 def _windows_count(bench: Workbench) -> int:
@@ -191,25 +229,28 @@ def _seeds(seed: int, size_count: int, windows_count: int) -> RowIndices:
     return np.random.default_rng([seed, size_count]).integers(2**62, size=windows_count).astype(np.intp)
 
 
-def _simulated_table(name: str, found: Mapping[tuple[str, int], float]) -> Table:
-    rows: list[tuple[TableCell, ...]] = [
-        (rule, *(100.0 * found[rule, size] for size in SIMULATED_SIZES_COUNT)) for rule in RULES
-    ]
+def _simulated_lines(name: str, figures: Mapping[str, float]) -> dict[str, tuple[float, ...]]:
+    """Return the errors by number of vehicles, in per cent, of every rule."""
+    sizes = SIMULATED_SIZES_COUNT
+    return {rule: tuple(100.0 * figures[f"simulated.{name}.{rule}.{size}"] for size in sizes) for rule in RULES}
+
+
+def _simulated_table(name: str, figures: Mapping[str, float]) -> Table:
     return Table(
         f"Mean error of the interval's middle by number of vehicles, in per cent: {name}",
         ("rule", *(str(size) for size in SIMULATED_SIZES_COUNT)),
-        tuple(rows),
+        tuple((rule, *line) for rule, line in _simulated_lines(name, figures).items()),
         "Drawn: wear even in [0.8, 1], noise 2 to 8 % and known, 3 % outliers.",
     )
 
 
-def _simulated_picture(name: str, found: Mapping[tuple[str, int], float]) -> Lines:
+def _simulated_picture(name: str, figures: Mapping[str, float]) -> Lines:
     x = tuple(float(size) for size in SIMULATED_SIZES_COUNT)
     return Lines(
         f"Error against number of vehicles: {name}",
         Axis("vehicles", logarithmic=True),
         Axis("mean error, per cent", low=0.0),
-        tuple(Line(rule, x, tuple(100.0 * found[rule, size] for size in SIMULATED_SIZES_COUNT)) for rule in RULES),
+        tuple(Line(rule, x, line) for rule, line in _simulated_lines(name, figures).items()),
     )
 
 

@@ -19,6 +19,7 @@ from rsu_app.domain.pooling import placement
 from rsu_app.domain.profiles import ProfilePolicy, evidence_of_profiles, new_tyre_grid_mu
 from rsu_app.domain.shrinkage import unshrunk
 from training.dataset import Runs
+from training.error_model import LEAST_MU
 from training.regressor import RowIndices
 from training.study.batches import (
     Cell,
@@ -32,7 +33,7 @@ from training.study.batches import (
 )
 from training.study.chapter import Arrays, Chapter, Claim, Result, Table, Verdict, Workbench
 from training.study.chapter import Cell as TableCell
-from training.study.generalise.estimates import RANDOM_ROADS_SET
+from training.study.folds import RANDOM_ROADS_SET, learner
 from training.study.generalise.held_out import (
     UTILISATION_BANDS,
     HeldOut,
@@ -42,7 +43,6 @@ from training.study.generalise.held_out import (
     on_other_roads,
 )
 from training.study.generalise.mean_features import learned_for_windows
-from training.study.generalise.passages import Passages
 from training.study.generalise.pooling import CONFIGS
 from training.study.generalise.rules import MEDIAN, POLICY, REFINED, RULES, WEIGHTED, interval_of, rule_on_rows
 from training.study.generalise.shrinkage import (
@@ -51,7 +51,6 @@ from training.study.generalise.shrinkage import (
     learned_temper_exponent,
     spread_ratio,
 )
-from training.study.paper_features import columns_by_name
 from training.study.picture import Axis, Line, Lines
 from training.study.recipes import Recipe
 from vehicle_client.simulator.plan import SensorGrade
@@ -60,7 +59,6 @@ BATCHES_SET = "random-roads-batches"
 SIZES_COUNT = (10, 50)
 BATCHES_COUNT = 120
 QUICK_BATCHES_COUNT = 40
-LEAST_MU = 1e-3
 CONFIDENCE_FRAC = 0.95
 PROFILE_COLUMNS = tuple(f"grip_profile_{100 * mu:.0f}_ratio" for mu in PROFILE_FRICTIONS_MU)
 GRID_MU: FloatArray = np.array(PROFILE_FRICTIONS_MU)
@@ -163,7 +161,7 @@ def profile_temper_exponent(bench: Workbench, grade: SensorGrade, learned: HeldO
 
     def work() -> Arrays:
         exponent = learned_temper_exponent(
-            columns_by_name(learned.runs, PROFILE_COLUMNS)[learned.rows],
+            learned.runs.columns(PROFILE_COLUMNS)[learned.rows],
             grid_mu=GRID_MU,
             base_friction_mu=learned.runs.labels["base_friction_mu"][learned.rows],
         )
@@ -201,13 +199,13 @@ def rules_on(
     estimates = unshrunk(mu, expected_error_ratio=there.expected_error_ratio, shrinkage=shrinkage)
     new_mu = new_tyre_grid_mu(GRID_MU)
     profiles = evidence_of_profiles(
-        columns_by_name(runs, PROFILE_COLUMNS)[there.rows],
+        runs.columns(PROFILE_COLUMNS)[there.rows],
         grid_mu=GRID_MU,
         policy=ProfilePolicy(temper_exponent=temper_exponent),
     )
     by_estimate_values = evidence_of_estimates(estimates, new_mu=new_mu)
-    evidence = Evidence(_of_all_rows(profiles, there), _of_all_rows(by_estimate_values, there), new_mu)
-    passages = _passages(there)
+    evidence = Evidence(there.of_all_runs(profiles), there.of_all_runs(by_estimate_values), new_mu)
+    passages = there.passages
     likelihood = evidence.summed(evidence.estimate_values)
     mean_features = _mean_features_rule(bench, grade, recipe, learned, runs)
     return {
@@ -244,21 +242,13 @@ def half_width_held_frac(
         batches_count: Batches of each cell.
         seed: Of the draws.
     """
-    passages = _passages(there)
+    passages = there.passages
     held = []
     for cell in cells:
         for batch in batches_of_cell(cell, size_count=size_count, batches_count=batches_count, seed=seed):
             placed = interval_of(passages.rows(batch), policy=POLICY)
             held.append(abs(placed.mu_new - cell.base_friction_mu) <= placed.half_width_mu)
     return float(np.mean(held))
-
-
-def _passages(there: HeldOut) -> Passages:
-    return Passages(
-        mu=_of_all_rows(np.maximum(there.mu, LEAST_MU), there),
-        expected_error_ratio=_of_all_rows(there.expected_error_ratio, there),
-        at_least=np.zeros(len(there.runs), dtype=np.bool_),
-    )
 
 
 def _one_by_one(rule: Callable[[RowIndices], float]) -> BatchRule:
@@ -268,11 +258,11 @@ def _one_by_one(rule: Callable[[RowIndices], float]) -> BatchRule:
 def _mean_features_rule(
     bench: Workbench, grade: SensorGrade, recipe: Recipe, learned: HeldOut, judged: Runs
 ) -> BatchRule:
-    features = columns_by_name(judged, recipe.features)
+    features = judged.columns(recipe.features)
     bench.report(f"regressor for mean features, {recipe.name}, {grade}", 0, 1)
     estimate_mu = learned_for_windows(
-        recipe,
-        columns_by_name(learned.runs, recipe.features)[learned.rows],
+        learner(bench, recipe),
+        learned.runs.columns(recipe.features)[learned.rows],
         label_mu=learned.label_mu,
         roads=learned.roads,
     )
@@ -281,13 +271,6 @@ def _mean_features_rule(
         return np.maximum(estimate_mu(np.array([features[batch].mean(axis=0) for batch in batches])), LEAST_MU)
 
     return midpoints_mu
-
-
-def _of_all_rows(values: FloatArray, there: HeldOut) -> FloatArray:
-    """Return one line per run, NaN without a summary."""
-    whole = np.full((len(there.runs), *values.shape[1:]), np.nan)
-    whole[there.rows] = values
-    return whole
 
 
 def _table(recipe_name: str, found: Errors, size: int) -> Table:

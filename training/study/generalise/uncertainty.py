@@ -12,9 +12,8 @@ from roadgrip.units import BoolArray, FloatArray
 from training.conformal import conformal_of
 from training.study.chapter import Cell, Chapter, Claim, Result, Table, Verdict, Workbench
 from training.study.distributions import identity_line, per_cent
-from training.study.folds import FOLDS_COUNT
+from training.study.folds import FOLDS_COUNT, RANDOM_ROADS_SET
 from training.study.generalise.doubt import Intervals, best_threshold, intervals, told_apart_frac
-from training.study.generalise.estimates import RANDOM_ROADS_SET
 from training.study.generalise.held_out import (
     SUREST_FRAC,
     UTILISATION_BANDS,

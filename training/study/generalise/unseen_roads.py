@@ -9,8 +9,7 @@ import numpy as np
 from roadgrip.units import BoolArray, FloatArray
 from training.study.chapter import Cell, Chapter, Claim, Result, Table, Verdict, Workbench
 from training.study.distributions import box_of, cloud_of, identity_line, per_cent
-from training.study.folds import FOLDS_COUNT, PAPER_SET
-from training.study.generalise.estimates import RANDOM_ROADS_SET
+from training.study.folds import FOLDS_COUNT, PAPER_SET, RANDOM_ROADS_SET
 from training.study.generalise.held_out import (
     HIGH_UTILISATION_RATIO,
     SUREST_FRAC,

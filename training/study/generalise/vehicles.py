@@ -17,10 +17,8 @@ from training.everyday import EVERYDAY_COUNT
 from training.regressor import RowIndices
 from training.study.chapter import Arrays, Chapter, Claim, Result, Table, Verdict, Workbench
 from training.study.distributions import per_cent
-from training.study.folds import FOLDS_COUNT, side_by_side
-from training.study.generalise.estimates import road_folds
+from training.study.folds import FOLDS_COUNT, learner, road_folds, side_by_side
 from training.study.generalise.held_out import UTILISATION_BANDS, band_name, band_of
-from training.study.paper_features import columns_by_name
 from training.study.picture import Axis, Bars
 from training.study.recipes import BEST_RECIPE, PAPER_RECIPE, SPEED_ONLY_RECIPE, Recipe
 from training.study.wording import by_grade, leading_grade
@@ -99,12 +97,12 @@ def estimated(bench: Workbench, grade: SensorGrade, name: str) -> Estimated:
         exact = rows[Telling.MATCHED]
         label = runs.labels["label_mu"][exact]
         fold = road_folds([group_of(runs.run_key[i]) for i in exact.tolist()], seed=bench.seed)
-        told = {telling: columns_by_name(runs, BEST_RECIPE.features)[mine] for telling, mine in rows.items()}
+        told = {telling: runs.columns(BEST_RECIPE.features)[mine] for telling, mine in rows.items()}
         found = {key_of(telling, teacher): np.full(len(label), np.nan) for telling in told for teacher in (LIKE, EXACT)}
 
         def judge(telling: Telling, number: int) -> None:
             out = fold == number
-            estimator = BEST_RECIPE.learn(told[telling][~out], label[~out])
+            estimator = learner(bench, BEST_RECIPE)(told[telling][~out], label[~out])
             found[key_of(telling, LIKE)][out] = estimator(told[telling][out])
             if telling is Telling.MATCHED:
                 for other, features in told.items():
@@ -112,8 +110,8 @@ def estimated(bench: Workbench, grade: SensorGrade, name: str) -> Estimated:
 
         def judge_by(recipe_name: str, number: int) -> None:
             out, recipe = fold == number, BASELINES[recipe_name]
-            features = columns_by_name(runs, recipe.features)[exact]
-            found[recipe_name][out] = recipe.learn(features[~out], label[~out])(features[out])
+            features = runs.columns(recipe.features)[exact]
+            found[recipe_name][out] = learner(bench, recipe)(features[~out], label[~out])(features[out])
 
         found |= {recipe_name: np.full(len(label), np.nan) for recipe_name in BASELINES}
         folds = np.unique(fold).tolist()

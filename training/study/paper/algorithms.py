@@ -10,7 +10,7 @@ from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 from roadgrip.units import FloatArray
 from training.study.chapter import Chapter, Claim, Result, Table, Verdict, Workbench
 from training.study.distributions import box_of, per_cent
-from training.study.folds import FOLDS_COUNT, PAPER_SET, cross_validated, paper_split, recipe_fold_mape_ratio
+from training.study.folds import FOLDS_COUNT, PAPER_SET, paper_split, recipe_fold_mape_ratio
 from training.study.known_roads import cv_median_mape_ratio
 from training.study.learners import (
     PENALTY_FACTOR,
@@ -62,9 +62,8 @@ def compute(bench: Workbench, grade: SensorGrade) -> Result:
     # Folds are learned side by side; networks shall not ask for all cores in each of them.
     with threadpool_limits(limits=1, user_api="blas"):
         for name, learn in {**EVERYWHERE, **FEW_ROWS_ONLY}.items():
-            found[name, few] = few_rows_fold_mape_ratio(
-                bench, grade, Recipe(name, PAPER_FEATURES, learn), rows_count=few_count
-            )
+            recipe = Recipe(name, PAPER_FEATURES, learn)
+            found[name, few] = recipe_fold_mape_ratio(bench, grade, recipe, rows_count=few_count)
         for name, learn in EVERYWHERE.items():
             recipe = PAPER_RECIPE if name == BOOSTED else Recipe(name, PAPER_FEATURES, learn)
             found[name, every] = recipe_fold_mape_ratio(bench, grade, recipe)
@@ -94,24 +93,6 @@ def compute(bench: Workbench, grade: SensorGrade) -> Result:
             ),
         ),
     )
-
-
-def few_rows_fold_mape_ratio(bench: Workbench, grade: SensorGrade, recipe: Recipe, *, rows_count: int) -> FloatArray:
-    """Return the MAPE of every fold on the first of the rows to learn from; they are shuffled. (folds,)"""
-
-    def work() -> dict[str, FloatArray]:
-        split = paper_split(bench, grade)
-        rows = split.train_rows[:rows_count]
-        judged = cross_validated(
-            recipe.learn,
-            split.features(recipe.features, rows),
-            split.label_mu(rows),
-            seed=bench.seed,
-            on_fold=lambda done: bench.report(f"folds of {recipe.name}, {rows_count} rows, {grade}", done, FOLDS_COUNT),
-        )
-        return {"mape_ratio": judged.fold_mape_ratio}
-
-    return bench.remembered(f"fold-mape-{rows_count}-{grade}-{recipe.key}-{bench.seed}", work)["mape_ratio"]
 
 
 def _boxes(found: Mapping[tuple[str, str], FloatArray], *, few: str, every: str) -> tuple[Box, ...]:

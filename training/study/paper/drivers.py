@@ -14,7 +14,7 @@ from training.regressor import RowIndices
 from training.study.chapter import Cell as TableCell
 from training.study.chapter import Chapter, Claim, Result, Table, Verdict, Workbench
 from training.study.distributions import per_cent
-from training.study.folds import FOLDS_COUNT, PAPER_SET, cross_validated, paper_estimates
+from training.study.folds import FOLDS_COUNT, PAPER_SET, cross_validated, learner, paper_estimates, rows_by_name
 from training.study.picture import Axis, Bars
 from training.study.recipes import PAPER_RECIPE, SPEED_ONLY_RECIPE, Recipe
 from training.study.wording import by_grade, leading_grade
@@ -72,19 +72,13 @@ def error_of(runs: Runs, rows: RowIndices, estimate_mu: FloatArray) -> Error:
     )
 
 
-def ordered_rows(runs: Runs) -> RowIndices:
-    """Return the usable rows by the names of the runs, so that nothing hangs on the order of the table."""
-    order = np.argsort(np.array(runs.run_key), kind="stable")
-    return order[runs.usable[order]]
-
-
 def strangers(learned: Runs, judged: Runs) -> RowIndices:
     """Return the usable rows to learn from that share no driver, tyre and surface with those that are judged.
 
     A reacting driver is the prudent one without his guess: where the guess made no difference, the drive is the same.
     """
     known = set(judged.run_key)
-    return np.array([row for row in ordered_rows(learned).tolist() if learned.run_key[row] not in known], dtype=np.intp)
+    return np.array([row for row in rows_by_name(learned).tolist() if learned.run_key[row] not in known], dtype=np.intp)
 
 
 def compute(bench: Workbench, grade: SensorGrade) -> Result:
@@ -94,7 +88,7 @@ def compute(bench: Workbench, grade: SensorGrade) -> Result:
     home = bench.runs(PAPER_SET, grade)
     for recipe_name, recipe in RECIPES.items():
         estimate_mu = paper_estimates(bench, grade, features=recipe.features, recipe=recipe)
-        rows = ordered_rows(home)
+        rows = rows_by_name(home)
         found[PAPER_SET, THERE, recipe_name] = error_of(home, rows, estimate_mu[rows])
     for name in (REACTING_SET, FLEET_SET):
         runs = bench.runs(name, grade)
@@ -102,7 +96,7 @@ def compute(bench: Workbench, grade: SensorGrade) -> Result:
         sizes[f"runs learned from for {name}"] = len(strangers(home, runs))
         for recipe_name, recipe in RECIPES.items():
             estimates = _estimates(bench, grade, name, recipe)
-            rows = ordered_rows(runs)
+            rows = rows_by_name(runs)
             for where in (ELSEWHERE, THERE):
                 found[name, where, recipe_name] = error_of(runs, rows, estimates[SHORT[where]])
             bench.report(f"{WHO[name]}, {grade}", 1, 1)
@@ -137,14 +131,15 @@ def compute(bench: Workbench, grade: SensorGrade) -> Result:
 
 
 def _estimates(bench: Workbench, grade: SensorGrade, name: str, recipe: Recipe) -> Mapping[str, FloatArray]:
-    """Return estimates of a data set's `ordered_rows` by who learned elsewhere, and by who learned there."""
+    """Return estimates of a data set's `rows_by_name` by who learned elsewhere, and by who learned there."""
 
     def work() -> dict[str, FloatArray]:
         home, runs = bench.runs(PAPER_SET, grade), bench.runs(name, grade)
-        rows, learned = ordered_rows(runs), strangers(home, runs)
+        rows, learned = rows_by_name(runs), strangers(home, runs)
         features = runs.columns(recipe.features)[rows]
-        elsewhere = recipe.learn(home.columns(recipe.features)[learned], home.labels["label_mu"][learned])
-        judged = cross_validated(recipe.learn, features, runs.labels["label_mu"][rows], seed=bench.seed)
+        learn = learner(bench, recipe)
+        elsewhere = learn(home.columns(recipe.features)[learned], home.labels["label_mu"][learned])
+        judged = cross_validated(learn, features, runs.labels["label_mu"][rows], seed=bench.seed)
         return {SHORT[ELSEWHERE]: elsewhere(features), SHORT[THERE]: judged.estimate_mu}
 
     return bench.remembered(f"drivers-{name}-{grade}-{recipe.key}-{bench.seed}", work)

@@ -18,16 +18,15 @@ from training.study.chapter import Chapter, Claim, Result, Table, Verdict, Workb
 from training.study.distributions import box_of, cloud_of, identity_line, per_cent
 from training.study.envelopes import Ordinary, learn_whole_envelope
 from training.study.feature_selection import selected_features
-from training.study.folds import PAPER_SET, Split, paper_split
+from training.study.folds import PAPER_SET, RANDOM_ROADS_SET, Split, learner, paper_split, rows_by_name
 from training.study.known_roads import global_estimates
-from training.study.paper.drivers import ordered_rows
 from training.study.paper_features import KINEMATIC_FEATURES, PAPER_FEATURES
 from training.study.picture import Axis, Boxes, Line, Scatter
 from training.study.recipes import PAPER_RECIPE, SPEED_ONLY_RECIPE, Recipe
 from training.study.wording import by_grade, leading_grade
 from vehicle_client.simulator.plan import SensorGrade
 
-MANOEUVRES_SET, RANDOM_SET = "manoeuvres", "random-roads"
+MANOEUVRES_SET = "manoeuvres"
 ALL, SELECTED, SPEED = "78 features", "15 selected", "speed only"
 NARROW, WIDE = "0.2 to 0.7", "0.2 to 1"
 NARROW_LIMIT_MU = 0.7
@@ -112,11 +111,12 @@ def compute(bench: Workbench, grade: SensorGrade) -> Result:
 
 
 def _judged(bench: Workbench, grade: SensorGrade, recipe: Recipe, extreme: Runs) -> Judged:
-    rows = ordered_rows(extreme)
+    rows = rows_by_name(extreme)
 
     def work() -> dict[str, FloatArray]:
         split = paper_split(bench, grade)
-        learned = recipe.learn(split.features(recipe.features, split.train_rows), split.label_mu(split.train_rows))
+        train = split.train_rows
+        learned = learner(bench, recipe)(split.features(recipe.features, train), split.label_mu(train))
         return {"estimate_mu": learned(extreme.columns(recipe.features)[rows])}
 
     kept = bench.remembered(f"manoeuvres-{grade}-{recipe.key}-{bench.seed}", work)
@@ -142,15 +142,15 @@ def _flags(
     bench: Workbench, grade: SensorGrade, split: Split, extreme: Runs
 ) -> tuple[dict[str, dict[str, BoolArray]], dict[str, int]]:
     """Return which drives each envelope flags, by envelope and kind of drive, and the sizes it rests on."""
-    random = bench.runs(RANDOM_SET, grade)
-    random_rows = ordered_rows(random)
+    random = bench.runs(RANDOM_ROADS_SET, grade)
+    random_rows = rows_by_name(random)
     road = np.array(random.section_id)[random_rows]
     dealt = np.random.default_rng(bench.seed).permutation(sorted(set(road.tolist())))
     learned = np.isin(road, dealt[: round(ROADS_LEARNED_FRAC * len(dealt))])
     random_features = random.columns(PAPER_FEATURES)[random_rows]
     train = split.features(PAPER_FEATURES, split.train_rows)
     drives = {
-        "extreme": extreme.columns(PAPER_FEATURES)[ordered_rows(extreme)],
+        "extreme": extreme.columns(PAPER_FEATURES)[rows_by_name(extreme)],
         "normal": split.features(PAPER_FEATURES, split.test_rows),
         "unseen": random_features[~learned],
     }
@@ -324,5 +324,5 @@ CHAPTER = Chapter(
     ),
     compute=compute,
     verdict=verdict,
-    needs=(PAPER_SET, MANOEUVRES_SET, RANDOM_SET),
+    needs=(PAPER_SET, MANOEUVRES_SET, RANDOM_ROADS_SET),
 )

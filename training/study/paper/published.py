@@ -12,8 +12,7 @@ from training.accuracy import relative_rms_ratio, rms_mu
 from training.study.chapter import Cell as TableCell
 from training.study.chapter import Chapter, Claim, Result, Table, Verdict, Workbench
 from training.study.distributions import per_cent
-from training.study.folds import PAPER_SET, paper_estimates
-from training.study.paper.drivers import ordered_rows
+from training.study.folds import PAPER_SET, paper_estimates, rows_by_name
 from training.study.picture import Axis, Bars
 from training.study.recipes import SPEED_ONLY_RECIPE
 from training.study.wording import by_grade, leading_grade
@@ -103,7 +102,7 @@ PASSAGES_PER_DRIVE_COUNT = 20
 def compute(bench: Workbench, grade: SensorGrade) -> Result:
     """Return our figures in the measures of others with one grade of sensors."""
     runs = bench.runs(PAPER_SET, grade)
-    rows = ordered_rows(runs)
+    rows = rows_by_name(runs)
     truth_mu = runs.labels["label_mu"][rows]
     scenario = np.array(runs.scenario)[rows]
     estimate_mu = paper_estimates(bench, grade)[rows]

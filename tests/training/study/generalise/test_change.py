@@ -65,19 +65,31 @@ def test_a_quiet_month_is_quiet_and_liars_make_it_loud(rng):
 
 
 @pytest.fixture(scope="module")
-def result():
+def small():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(change, "QUICK_RUNS_COUNT", 2)
         patch.setattr(change, "VEHICLES_PER_HOUR", (10, 60))
         patch.setattr(change, "MONTH_HOURS", 20)
         patch.setattr(change, "SLOW_HOURS", 0.5)
-        return change.CHAPTER.compute(Desk(data_sets={}), SensorGrade.IDEAL)
+        yield
+
+
+@pytest.fixture(scope="module")
+def result(small):
+    return change.CHAPTER.compute(Desk(data_sets={}), SensorGrade.IDEAL)
 
 
 def test_the_chapter_has_its_tables(result):
     assert all(len(row) == len(table.columns) for table in result.tables for row in table.rows)
     assert len(result.tables[2].rows) == len(change.NOISES_RATIO) * len(change.LIARS_FRAC)
     assert result.figures["drop_to_40.60.unseen_frac"] == 0.0
+
+
+def test_what_no_sensor_plays_a_part_in_is_computed_once_for_all_grades(small):
+    desk = Desk(data_sets={})
+    one, other = (change.CHAPTER.compute(desk, grade) for grade in SensorGrade)
+    assert one.figures == pytest.approx(other.figures, nan_ok=True)
+    assert sorted(desk.worked) == ["change-1", "change-picture-1"]
 
 
 @pytest.mark.parametrize(("quiet", "words"), [(0.0, "does what it is for"), (5.0, "not yet fit for use")])

@@ -6,8 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.training.study.generalise.road_drives import drives_on_roads
+from training.study.folds import rows_by_name
 from training.study.generalise.doubt import best_threshold, intervals, told_apart_frac
-from training.study.generalise.held_out import HeldOut, rows_by_name
+from training.study.generalise.held_out import HeldOut
 
 
 def judged(*, spread=0.1, seed=1, roads_count=60):

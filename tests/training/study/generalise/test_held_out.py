@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.training.study.generalise.road_drives import FEW, SMALL_BEST, drives_on_roads, road_desk
+from tests.training.study.generalise.road_drives import FEW, SMALL_BEST, road_desk
 from training.study.generalise import held_out as made
 from training.study.generalise.held_out import (
     UTILISATION_BANDS,
@@ -16,8 +16,8 @@ from training.study.generalise.held_out import (
     held_out,
     left_out_roads,
     mean_by_road,
+    on_known_roads,
     on_other_roads,
-    rows_by_name,
     surest,
 )
 from training.study.recipes import Recipe
@@ -75,12 +75,42 @@ def test_nothing_is_judged_where_nobody_drove():
     assert found.roads == ()
 
 
-def test_a_fold_does_not_hang_on_the_order_of_the_rows():
-    runs = drives_on_roads(6)
-    order = np.random.default_rng(3).permutation(len(runs))
-    other = runs.rows(order)
-    names = [runs.run_key[i] for i in rows_by_name(runs).tolist()]
-    assert names == [other.run_key[i] for i in rows_by_name(other).tolist()]
+@dataclass(frozen=True, slots=True)
+class ByHeart:
+    """Knows every row it has seen, and says 0.3 of all others."""
+
+    def __call__(self, features, label_mu):
+        seen = {row.tobytes(): mu for row, mu in zip(features, label_mu, strict=True)}
+        return lambda rows: np.array([seen.get(row.tobytes(), 0.3) for row in rows])
+
+
+def test_on_a_known_road_the_drive_is_still_a_stranger():
+    found = on_known_roads(road_desk(), IDEAL, Recipe("by heart", SMALL_BEST.features, ByHeart()))
+    assert found.mu.tolist() == [0.3] * len(found)
+    assert found.rows.tolist() == np.flatnonzero(found.runs.usable).tolist()
+
+
+def test_the_error_to_expect_on_a_known_road_is_about_what_is_found():
+    found = on_known_roads(road_desk(), IDEAL, SMALL_BEST)
+    assert found.expected_error_ratio.mean() == pytest.approx(np.abs(found.log_ratio).mean(), rel=0.3)
+
+
+def test_errors_to_expect_are_positive_and_follow_what_they_are_learned_from(rng):
+    size = rng.uniform(0.01, 0.2, 2000)
+    features = np.column_stack([size, rng.normal(size=2000)])
+    expected = made.ErrorTrees()(features, size * np.abs(rng.standard_normal(2000)))(features)
+    assert (expected > 0.0).all()
+    assert np.corrcoef(expected, size)[0, 1] > 0.9
+
+
+def test_every_run_of_the_data_set_has_a_passage_or_nothing():
+    found = held_out(road_desk(), IDEAL, SMALL_BEST)
+    said = found.passages
+    assert np.array_equal(np.isfinite(said.mu), found.runs.usable)
+    assert said.rows(found.rows).mu.tolist() == found.mu.tolist()
+    assert not said.at_least.any()
+    lines = found.of_all_runs(np.column_stack([found.mu, found.mu]))
+    assert np.array_equal(lines[:, 1], said.mu, equal_nan=True)
 
 
 def test_a_part_keeps_what_belongs_together():

@@ -17,7 +17,7 @@ ABSURD = liars.Strategy("", liars.all_say(3.0))
 
 
 def shift(strategy, liars_frac=0.3):
-    return liars.mean_shift_ratio(strategy, liars_frac=liars_frac, windows_count=40, seed=3)
+    return liars.mean_shift_ratio(strategy, liars.honest_windows(40, seed=3), liars_frac=liars_frac, seed=3)
 
 
 def test_so_many_lie_and_the_rest_is_as_it_was(rng):
@@ -50,6 +50,14 @@ def result(monkeypatch):
     monkeypatch.setattr(liars, "QUICK_WINDOWS_COUNT", 8)
     monkeypatch.setattr(liars, "SWEEP_RATIO", np.array([0.7, 1.1, 1.5]))
     return liars.CHAPTER.compute(Desk(data_sets={}), SensorGrade.IDEAL)
+
+
+def test_what_no_sensor_plays_a_part_in_is_computed_once_for_all_grades(monkeypatch):
+    monkeypatch.setattr(liars, "QUICK_WINDOWS_COUNT", 8)
+    desk = Desk(data_sets={})
+    one, other = (liars.CHAPTER.compute(desk, grade) for grade in SensorGrade)
+    assert one == other
+    assert len(desk.worked) == len(set(desk.worked)) == 1
 
 
 def test_the_chapter_tells_the_worst_of_each_rule(result):

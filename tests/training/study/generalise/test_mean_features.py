@@ -1,13 +1,10 @@
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from tests.training.study.generalise.road_drives import FEW
 from training.study.generalise.mean_features import learned_for_windows, smoothed_features
-from training.study.recipes import PAPER_RECIPE
 
 
 def roads_of(rng, roads_count, per_road_count, *, noise):
@@ -31,8 +28,7 @@ def test_roads_with_few_drives_are_left_out(rng):
 
 def test_mean_features_of_many_are_read_better_than_one(rng):
     roads, label_mu, _, noisy = roads_of(rng, 60, 11, noise=0.15)
-    recipe = replace(PAPER_RECIPE, learn=FEW)
-    estimate_mu = learned_for_windows(recipe, noisy[:, :1], label_mu=label_mu, roads=roads)
+    estimate_mu = learned_for_windows(FEW, noisy[:, :1], label_mu=label_mu, roads=roads)
     windows = np.log(0.4) + 0.15 * rng.standard_normal((200, 50, 1))
     many, one = estimate_mu(windows.mean(axis=1)), estimate_mu(windows[:, 0])
     assert np.abs(many - 0.4).mean() < 0.5 * np.abs(one - 0.4).mean()

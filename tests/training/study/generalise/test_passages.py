@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from training.study.generalise.passages import Traffic, drawn_passages
+from roadgrip.bundle import Conformal
+from training.study.generalise.passages import Passages, Traffic, drawn_passages
 
 EXACT = Traffic(lowest_noise_ratio=0.0, highest_noise_ratio=0.0, outlier_frac=0.0)
 
@@ -46,3 +47,13 @@ def test_rows_may_be_taken_again(rng):
     taken = passages.rows(np.array([4, 4, 0]))
     assert taken.mu.tolist() == passages.mu[[4, 4, 0]].tolist()
     assert len(taken) == 3
+
+
+def test_only_doubtful_estimates_become_bounds_and_these_lie_below():
+    said = Passages(np.full(4, 0.5), np.array([0.01, 0.3, 0.14, 0.16]), np.zeros(4, dtype=np.bool_))
+    meant = Conformal(coverage_frac=0.9, quantile=2.0, doubtful_above_ratio=0.15)
+    bounded = said.with_bounds(meant)
+    assert bounded.at_least.tolist() == [False, True, False, True]
+    assert bounded.mu[[0, 2]].tolist() == [0.5, 0.5]
+    assert bounded.mu[1] == pytest.approx(meant.mu_low(0.5, expected_error_ratio=0.3))
+    assert bounded.mu[3] == pytest.approx(meant.mu_low(0.5, expected_error_ratio=0.16))

@@ -9,7 +9,7 @@ from tests.training.runs import made_up_runs
 from tests.training.study.desk import Desk
 from training.study.batches import CellErrors
 from training.study.chapter import Claim
-from training.study.generalise import estimates, pooling
+from training.study.generalise import held_out, pooling
 from training.study.generalise.passages import Traffic
 from training.study.generalise.rules import MEDIAN, REFINED
 from training.study.recipes import PAPER_FIT, PAPER_RECIPE, Boosted
@@ -53,7 +53,7 @@ def result():
         patch.setattr(pooling, "QUICK_BATCHES_COUNT", 4)
         patch.setattr(pooling, "SIMULATED_SIZES_COUNT", (1, 50))
         patch.setattr(pooling, "DRIVEN_SIZES_COUNT", (10, 50))
-        patch.setattr(estimates, "ERROR_LEARNER", FEW)
+        patch.setattr(held_out, "EXPECTED_ERROR", FEW)
         patch.setattr(pooling, "CONFIGS", {"paper_config": SMALL})
         desk = Desk(data_sets={"paper": made_up_runs(300), "random-roads": named})
         return pooling.CHAPTER.compute(desk, SensorGrade.IDEAL)

@@ -9,6 +9,7 @@ from tests.training.study.desk import Desk
 from tests.training.study.paper.drives import drives
 from training.study.batches import CellErrors
 from training.study.chapter import Chapter, Claim
+from training.study.folds import rows_by_name
 from training.study.paper import drivers, interval_accuracy, manoeuvres, published, sensitivity, wear
 from training.study.paper_features import PAPER_FEATURES
 from vehicle_client.simulator.plan import SensorGrade
@@ -127,7 +128,7 @@ def test_a_regressor_learns_from_nobody_who_is_judged():
 
 def test_errors_name_the_worst_scenario():
     runs = drives(ROADS, per_cell_count=4)
-    rows = drivers.ordered_rows(runs)
+    rows = rows_by_name(runs)
     truth = runs.labels["label_mu"][rows]
     off = np.where(np.array(runs.scenario)[rows] == "sharp", 1.2, 1.1)
     error = drivers.error_of(runs, rows, off * truth)
@@ -147,6 +148,63 @@ def test_the_first_runs_of_every_cell_are_taken_by_attempt():
             cell, number = table.run_key[row].rsplit("/", 1)
             if table.run_key[row] not in kept:
                 assert all(key.rsplit("/", 1)[1] < number for key in kept if key.startswith(cell))
+
+
+def test_the_next_runs_of_every_cell_are_others():
+    runs = drives(ROADS, per_cell_count=9)
+    first, following = (sensitivity.first_rows(runs, kept_count=4, skipped_count=count) for count in (0, 4))
+    assert len(following) == 4 * 9
+    assert not set(first.tolist()) & set(following.tolist())
+
+
+def errors(count: int, *, seed: int, prefix: str = "") -> dict[str, float]:
+    values = np.random.default_rng(seed).exponential(0.03, count)
+    return {f"{prefix}{i:04d}": float(value) for i, value in enumerate(values)}
+
+
+def test_a_share_more_error_on_every_drive_is_beyond_chance_however_the_drives_differ():
+    usual = errors(100, seed=1)
+    found = sensitivity.change_between(
+        np.random.default_rng(2), usual, {name: 1.1 * error for name, error in usual.items()}
+    )
+    assert (found.ratio, found.low_ratio, found.high_ratio) == pytest.approx((0.1, 0.1, 0.1))
+    assert found.both_count == 100
+
+
+def test_the_same_difference_between_other_drives_may_be_chance():
+    usual, others = errors(100, seed=1), errors(100, seed=1, prefix="other-")
+    more = {name: 1.1 * error for name, error in others.items()}
+    found = sensitivity.change_between(np.random.default_rng(2), usual, more)
+    assert found.ratio == pytest.approx(0.1)
+    assert found.low_ratio < 0.0 < found.high_ratio
+    assert found.both_count == 0
+
+
+def test_drives_that_differ_by_chance_alone_seldom_seem_to_differ(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(sensitivity, "RESAMPLES_COUNT", 300)
+    seeming = 0
+    for number in range(60):
+        usual, other = errors(150, seed=number), errors(150, seed=1000 + number)
+        found = sensitivity.change_between(np.random.default_rng(number), usual, other)
+        seeming += not found.low_ratio <= 0.0 <= found.high_ratio
+    assert seeming <= 10
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "words"),
+    [
+        (0.05, 0.15, "The strongest of those beyond chance with automotive sensors: sensor errors doubled."),
+        (-0.05, 0.15, "none of them changes the MAPE beyond chance"),
+    ],
+)
+def test_the_verdict_tells_differences_from_chance(desk: Desk, low: float, high: float, words: str):
+    result = sensitivity.compute(desk, SensorGrade.AUTOMOTIVE)
+    nothing = {f"change_{end}.{name}": 0.0 for name in sensitivity.SETTINGS for end in ("low", "high")}
+    ends = {"change_low.sensor errors doubled": low, "change_high.sensor errors doubled": high}
+    figures = {**result.figures, **nothing, **ends}
+    told = sensitivity.verdict({SensorGrade.AUTOMOTIVE: replace(result, figures=figures)}).text
+    assert words in told
+    assert "roughness halved: no difference beyond chance" in told
 
 
 def test_exact_sensors_are_not_driven_twice_as_exact(desk: Desk):
