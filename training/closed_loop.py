@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from rsu_app.domain.judgement import Judgement
     from vehicle_client.simulator.plan import PassagePlan
 
+_SLOWEST_PLACE = NEWEST_TABLE.index("speed_min_mps")
 _PROFILE_PLACES = NEWEST_TABLE.columns([name for name in NEWEST_TABLE.names if name.startswith("grip_profile_")])
 SLOT_S = 300.0
 """Vehicles that arrive within so long all hear what the unit said at its beginning: as long as an advice is valid."""
@@ -268,15 +269,20 @@ class _Circle:
             said = judged.get(i)
             self._vehicles.append(self._vehicle(traveller, one, said))
             if said is not None and one.row is not None:
-                leaving = (traveller.at_s + one.duration_s, len(self._vehicles), said, one.row[_PROFILE_PLACES])
-                self._on_the_road.append(leaving)
+                self._on_the_road.append((traveller.at_s + one.duration_s, len(self._vehicles), said, one.row))
 
     def listen(self, *, until_s: float) -> Advisory:
         """Let the unit hear of all that left the section by now, and return what it says then."""
         self._on_the_road.sort(key=lambda leaving: leaving[:2])
         while self._on_the_road and self._on_the_road[0][0] <= until_s:
-            left_at_s, _, said, profile_ratio = self._on_the_road.pop(0)
-            if self._unit.hear(said, left_at_s=left_at_s, profile_ratio=profile_ratio):
+            left_at_s, _, said, row = self._on_the_road.pop(0)
+            counts = self._unit.hear(
+                said,
+                left_at_s=left_at_s,
+                profile_ratio=row[_PROFILE_PLACES],
+                slowest_mps=float(row[_SLOWEST_PLACE]),
+            )
+            if counts:
                 self._note(left_at_s)
         return self._note(until_s)
 

@@ -15,7 +15,13 @@ from rsu_app.domain.advisory import AdvisoryPolicy, advise
 from rsu_app.domain.change import ChangePolicy
 from rsu_app.domain.interval import MEDIAN_TYRE_RATIO, IntervalPolicy, friction_interval
 from rsu_app.domain.judgement import Judgement
-from rsu_app.domain.pooling import PoolingPolicy, RefinedInterval, refined_interval_of_window
+from rsu_app.domain.pooling import (
+    PoolingPolicy,
+    RefinedInterval,
+    refined_interval_of_window,
+    support_of_window,
+)
+from rsu_app.domain.probing import ProbingPolicy, Standing, WindowKnowledge, advise_as_known, standing_after
 from rsu_app.domain.profiles import ProfilePolicy, pooled_profile
 from rsu_app.domain.watch import ChangeWatch
 from rsu_app.domain.window import FrictionWindow, WindowRows
@@ -32,12 +38,14 @@ class UnitRules:
         pooling: How the interval comes about that advice rests on: by estimates with their errors and bounds, or by
             the sum of all likelihoods of friction; where it is a lower bound only, advice rests on that. None: by the
             median, to which a bound is an estimate.
+        probing: How advice comes about while the friction is not known; None: as if it were.
     """
 
     interval: IntervalPolicy = field(default_factory=IntervalPolicy)
     advisory: AdvisoryPolicy = field(default_factory=AdvisoryPolicy)
     change: ChangePolicy | None = None
     pooling: PoolingPolicy | ProfilePolicy | None = None
+    probing: ProbingPolicy | None = None
 
 
 class LoopUnit:
@@ -54,17 +62,20 @@ class LoopUnit:
         self._window = FrictionWindow(window_s=WINDOW_S)
         self._watch = None if rules.change is None else ChangeWatch(policy=rules.change, window_s=WINDOW_S)
         self._profiles: list[tuple[float, FloatArray]] = []
-        self._advised_mps: float | None = None
+        self._standing: Standing | None = None
+        self._rows = self._window.rows
+        self._bound: RefinedInterval | None = None
         self.at_least = False
         """Whether what was said last is marked as hardly more than a lower bound."""
 
-    def hear(self, judged: Judgement, *, left_at_s: float, profile_ratio: FloatArray) -> bool:
+    def hear(self, judged: Judgement, *, left_at_s: float, profile_ratio: FloatArray, slowest_mps: float = nan) -> bool:
         """Return whether a passage counts; from now on, if it does.
 
         Args:
             judged: What it says.
             left_at_s: When the vehicle left the section.
             profile_ratio: Its log likelihood at `roadgrip.features.PROFILE_FRICTIONS_MU`. (k,)
+            slowest_mps: How slowly it drove where it was slowest.
         """
         if judged.mu is None or judged.flags != NotCounted.NONE:
             return False
@@ -74,6 +85,7 @@ class LoopUnit:
             at_least=judged.at_least,
             mu_low=nan if judged.mu_low is None else judged.mu_low,
             expected_error_ratio=nan if judged.expected_error_ratio is None else judged.expected_error_ratio,
+            slowest_mps=slowest_mps,
         )
         self._profiles.append((left_at_s, profile_ratio))
         if self._watch is not None and not judged.at_least:
@@ -95,6 +107,8 @@ class LoopUnit:
         if interval is None:
             return None
         refined = self._refined(rows, from_s=from_s)
+        self._rows, self._bound = rows, refined
+        self._profiles = [told for told in self._profiles if told[0] >= from_s]
         self.at_least = refined is not None and refined.at_least
         return interval if refined is None or self._rules.pooling is None else _replaced(interval, refined)
 
@@ -102,21 +116,47 @@ class LoopUnit:
         policy = self._rules.pooling or PoolingPolicy()
         if isinstance(policy, PoolingPolicy):
             return refined_interval_of_window(rows, policy=policy)
-        self._profiles = [told for told in self._profiles if told[0] >= from_s]
-        values = np.array([profile_ratio for _, profile_ratio in self._profiles])
-        return pooled_profile(values, grid_mu=np.array(PROFILE_FRICTIONS_MU), policy=policy)
+        return _pooled([profile for at_s, profile in self._profiles if at_s >= from_s], policy)
 
     def advise(self, *, now_s: float) -> Advisory:
         """Return what drivers are told now."""
-        advisory = advise(
-            self._section,
-            interval=self.interval(now_s=now_s),
-            model_live=True,
-            policy=self._rules.advisory,
-            previous_speed_mps=self._advised_mps,
-        )
-        self._advised_mps = advisory.speed_mps
+        interval = self.interval(now_s=now_s)
+        if self._rules.probing is None:
+            advisory = advise(
+                self._section,
+                interval=interval,
+                model_live=True,
+                policy=self._rules.advisory,
+                previous_speed_mps=None if self._standing is None else self._standing.speed_mps,
+            )
+        else:
+            advisory = advise_as_known(
+                self._section,
+                interval=interval,
+                window=None if interval is None else self._knowledge(),
+                model_live=True,
+                policy=self._rules.advisory,
+                probing=self._rules.probing,
+                standing=self._standing,
+            )
+        self._standing = standing_after(self._standing, advisory, now_s=now_s)
         return advisory
+
+    def _knowledge(self) -> WindowKnowledge | None:
+        """Return what the vehicles know; where advice rests on likelihoods, they know it as far as those place it."""
+        pooling = self._rules.pooling
+        known = support_of_window(self._rows, policy=pooling if isinstance(pooling, PoolingPolicy) else PoolingPolicy())
+        if known is None:
+            return None
+        profiles = [profile for _, profile in self._profiles]
+        likely = self._bound if isinstance(pooling, ProfilePolicy) else _pooled(profiles, ProfilePolicy())
+        if isinstance(pooling, ProfilePolicy) and likely is not None:
+            known = replace(known, at_least=likely.at_least)
+        return WindowKnowledge(rows=self._rows, support=known, likely=likely)
+
+
+def _pooled(profiles: list[FloatArray], policy: ProfilePolicy) -> RefinedInterval | None:
+    return pooled_profile(np.array(profiles), grid_mu=np.array(PROFILE_FRICTIONS_MU), policy=policy)
 
 
 def _replaced(interval: FrictionInterval, refined: RefinedInterval) -> FrictionInterval:

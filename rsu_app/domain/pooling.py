@@ -10,12 +10,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from math import ceil, hypot, inf, log
+from math import ceil, hypot, inf, log, nan
 
 import numpy as np
 
 from roadgrip.units import BoolArray, FloatArray
-from rsu_app.domain.interval import MEDIAN_TYRE_RATIO, WORN_TYRE_RATIO, ranks_despite_liars
+from rsu_app.domain.interval import (
+    MEDIAN_TYRE_RATIO,
+    WORN_TYRE_RATIO,
+    median_ranks,
+    mu_low_of_median,
+    ranks_despite_liars,
+)
 from rsu_app.domain.wear import estimate_density, estimate_survival, noise_of_expected_error
 from rsu_app.domain.window import WindowRows
 
@@ -150,6 +156,72 @@ def placing_median_mu(mu: FloatArray, at_least: BoolArray) -> tuple[float, bool]
     return (float(np.median(mu)), True) if median_mu is None else (median_mu, False)
 
 
+@dataclass(frozen=True, slots=True)
+class Support:
+    """How far the vehicles of a window know the friction.
+
+    Attributes:
+        named_count: Those that name one.
+        censored_count: Those that only say "at least".
+        at_least: Whether so few name a friction that the window only gives a lower bound.
+        bound_mu: What the median tyre finds, at least so much where `at_least`.
+        median_mu: Median of all, bounds taken for what they say. The median tyre finds at least this, too, and no few
+            vehicles can raise it, whatever they say.
+        named_mu: Median of those that name one; NaN without any.
+    """
+
+    named_count: int
+    censored_count: int
+    at_least: bool
+    bound_mu: float
+    median_mu: float
+    named_mu: float
+
+    @property
+    def least_mu_low(self) -> float:
+        """What a worn tyre finds at least by the median of all."""
+        return mu_low_of_median(self.median_mu)
+
+    @property
+    def named_mu_low(self) -> float:
+        """What a worn tyre finds by those that name a friction; NaN without any."""
+        return mu_low_of_median(self.named_mu)
+
+
+def support(mu: FloatArray, at_least: BoolArray, *, policy: PoolingPolicy) -> Support | None:
+    """Return how far some vehicles know the friction, None without any.
+
+    The bound is the larger of two. Each vehicle found at least its value, so the median of all values is one. The
+    lower end of the confidence interval that those give who name a friction is another: they are not those on the best
+    tyres, and no number of vehicles that know nothing can lower it.
+
+    Args:
+        mu: Estimates, and bounds where `at_least`; finite, above zero. (n,)
+        at_least: Which of them are bounds. (n,)
+        policy: What is assumed.
+    """
+    if len(mu) == 0:
+        return None
+    named = np.sort(mu[~at_least])
+    bound_mu, hidden = placing_median_mu(mu, at_least)
+    doubtful = hidden or len(named) < policy.named_frac * len(mu)
+    median_mu = float(np.median(mu))
+    if doubtful:
+        bound_mu = median_mu
+        if len(named):
+            ranks = median_ranks(len(named), confidence_frac=policy.confidence_frac)
+            sure = ranks.coverage_frac >= policy.confidence_frac
+            bound_mu = max(bound_mu, float(named[ranks.low_rank - 1])) if sure else bound_mu
+    return Support(
+        named_count=len(named),
+        censored_count=len(mu) - len(named),
+        at_least=doubtful,
+        bound_mu=bound_mu,
+        median_mu=median_mu,
+        named_mu=float(np.median(named)) if len(named) else nan,
+    )
+
+
 def posterior_placement(
     mu: FloatArray, *, expected_error_ratio: FloatArray, at_least: BoolArray, median_mu: float, policy: PoolingPolicy
 ) -> Placement:
@@ -222,25 +294,22 @@ def refined_interval(
         at_least: Which of them are bounds. (n,)
         policy: What is assumed.
     """
-    censored_count = int(np.count_nonzero(at_least))
-    informative_count = len(mu) - censored_count
-    if len(mu) == 0:
+    known = support(mu, at_least, policy=policy)
+    if known is None:
         return None
-    median_mu, bound_only = placing_median_mu(mu, at_least)
-    placed_mu = median_mu / MEDIAN_TYRE_RATIO
-    if bound_only or informative_count < policy.named_frac * len(mu):
-        placed_mu = float(np.median(mu)) / MEDIAN_TYRE_RATIO
+    placed_mu = known.bound_mu / MEDIAN_TYRE_RATIO
+    if known.at_least:
         return RefinedInterval(
             mu_low=WORN_TYRE_RATIO * placed_mu,
             mu_new=placed_mu,
             half_width_mu=inf,
-            informative_count=informative_count,
-            censored_count=censored_count,
+            informative_count=known.named_count,
+            censored_count=known.censored_count,
             clipped=False,
             at_least=True,
         )
     free = posterior_placement(
-        mu, expected_error_ratio=expected_error_ratio, at_least=at_least, median_mu=median_mu, policy=policy
+        mu, expected_error_ratio=expected_error_ratio, at_least=at_least, median_mu=known.bound_mu, policy=policy
     )
     lowest_mu, highest_mu = placed_mu * (1.0 - policy.clip_frac), placed_mu * (1.0 + policy.clip_frac)
     mu_new = min(max(free.mu_new, lowest_mu), highest_mu)
@@ -253,8 +322,8 @@ def refined_interval(
         mu_low=WORN_TYRE_RATIO * mu_new,
         mu_new=mu_new,
         half_width_mu=hypot(reach_mu, 1.96 * _shared_ratio(expected_error_ratio[~at_least], policy) * mu_new),
-        informative_count=informative_count,
-        censored_count=censored_count,
+        informative_count=known.named_count,
+        censored_count=known.censored_count,
         clipped=mu_new != free.mu_new,
     )
 
@@ -281,6 +350,11 @@ def refined_interval_of_window(rows: WindowRows, *, policy: PoolingPolicy) -> Re
         at_least=rows.at_least,
         policy=policy,
     )
+
+
+def support_of_window(rows: WindowRows, *, policy: PoolingPolicy) -> Support | None:
+    """Return how far the vehicles of a window know the friction, None without any; a doubtful one by its bound."""
+    return support(np.where(rows.at_least, rows.mu_low, rows.mu), rows.at_least, policy=policy)
 
 
 def bounds_despite_liars(mu: FloatArray, at_least: BoolArray, *, policy: PoolingPolicy) -> tuple[float, float]:

@@ -13,7 +13,7 @@ from math import hypot, inf, log
 
 import numpy as np
 
-from roadgrip.units import FloatArray
+from roadgrip.units import BoolArray, FloatArray
 from rsu_app.domain.interval import WORN_TYRE_RATIO
 from rsu_app.domain.pooling import RefinedInterval, placement
 
@@ -35,6 +35,9 @@ class ProfilePolicy:
             vehicle that is somewhat wrong is surer than it should be.
         outlier_frac: Share of passages whose profile has nothing to do with the road.
         flat_log_ratio: Profiles whose log likelihood varies by less are counted as saying nothing.
+        shared_log_ratio: A friction is excluded only where the summed log likelihood lies below its peak by what chance
+            allows and by this for each passage besides. A model of the vehicle that is somewhat wrong is wrong for all
+            of them alike, and what they share adds up as their number does.
         road_bias_ratio: Standard deviation of the error that all vehicles on one road share.
         confidence_frac: Probability asked of the half-width.
     """
@@ -42,6 +45,7 @@ class ProfilePolicy:
     temper_exponent: float = 0.5
     outlier_frac: float = 0.05
     flat_log_ratio: float = 2.0
+    shared_log_ratio: float = 0.1
     road_bias_ratio: float = 0.03
     confidence_frac: float = 0.95
 
@@ -50,7 +54,7 @@ class ProfilePolicy:
             raise ValueError(f"a likelihood to the power {self.temper_exponent} is not a careful one")
         if not (0.0 < self.outlier_frac < 1.0 and 0.0 < self.confidence_frac < 1.0):
             raise ValueError("shares of outliers and confidence lie between 0 and 1")
-        if not (self.flat_log_ratio >= 0.0 and self.road_bias_ratio >= 0.0):
+        if min(self.flat_log_ratio, self.shared_log_ratio, self.road_bias_ratio) < 0.0:
             raise ValueError("a range and a bias are no less than zero")
 
 
@@ -59,8 +63,8 @@ def pooled_profile(
 ) -> RefinedInterval | None:
     """Return the interval that the profiles of a window place together, None without any.
 
-    `at_least` is set when the sum still allows the upper end of the grid: then nothing bounds the friction from above,
-    and `mu_new` is the lower end of what is credible. Profiles that say nothing are counted as censored.
+    `at_least` is set when the sum does not exclude the upper end of the grid: then nothing bounds the friction from
+    above, and `mu_new` is the least friction that is not excluded. Profiles that say nothing are counted as censored.
 
     Args:
         log_likelihood_values: One profile per line, each up to a constant of its own; finite. (n, k)
@@ -71,7 +75,7 @@ def pooled_profile(
     if len(log_likelihood_values) == 0:
         return None
     evidence_values = evidence_of_profiles(log_likelihood_values, grid_mu=grid_mu, policy=policy).sum(axis=0)
-    informative_count = int(np.count_nonzero(np.ptp(log_likelihood_values, axis=1) >= policy.flat_log_ratio))
+    informative_count = int(np.count_nonzero(says_something(log_likelihood_values, policy=policy)))
     return interval_of_evidence(
         evidence_values,
         grid_mu=grid_mu,
@@ -79,6 +83,12 @@ def pooled_profile(
         flat_count=len(log_likelihood_values) - informative_count,
         policy=policy,
     )
+
+
+def says_something(log_likelihood_values: FloatArray, *, policy: ProfilePolicy) -> BoolArray:
+    """Return which profiles prefer some frictions to others. (n, k) in, (n,) out"""
+    wide: BoolArray = np.ptp(log_likelihood_values, axis=1) >= policy.flat_log_ratio
+    return wide
 
 
 def evidence_of_profiles(
@@ -144,8 +154,11 @@ def interval_of_evidence(
     """
     log_new_mu = np.log(new_tyre_grid_mu(grid_mu))
     placed = placement(evidence_values, log_mu=log_new_mu, confidence_frac=policy.confidence_frac)
-    open_above = bool(evidence_values[-1] > evidence_values.max() - _OPEN_LOG_RATIO)
-    mu_new = placed.low_mu if open_above else placed.mu_new
+    excluded_below = _OPEN_LOG_RATIO + policy.shared_log_ratio * (informative_count + flat_count)
+    possible = evidence_values > evidence_values.max() - excluded_below
+    open_above = bool(possible[-1])
+    least_mu = float(np.exp(log_new_mu[int(np.argmax(possible))]))
+    mu_new = min(least_mu, placed.low_mu) if open_above else placed.mu_new
     reach_mu = inf if open_above else max(placed.mu_new - placed.low_mu, placed.high_mu - placed.mu_new)
     return RefinedInterval(
         mu_low=WORN_TYRE_RATIO * mu_new,

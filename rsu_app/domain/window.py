@@ -27,6 +27,7 @@ class WindowEntry(NamedTuple):
         mu_low: Below this the friction hardly is, with the coverage the model promises; NaN when the model says
             nothing about its error.
         expected_error_ratio: Size of the error to expect, relative to the estimate; NaN when the model says nothing.
+        slowest_mps: How slowly the vehicle drove where it was slowest; NaN when that is not remembered.
     """
 
     left_at_s: float
@@ -34,6 +35,7 @@ class WindowEntry(NamedTuple):
     at_least: bool = False
     mu_low: float = nan
     expected_error_ratio: float = nan
+    slowest_mps: float = nan
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +47,7 @@ class WindowRows:
     at_least: BoolArray
     mu_low: FloatArray
     expected_error_ratio: FloatArray
+    slowest_mps: FloatArray
 
 
 class FrictionWindow:
@@ -120,6 +123,7 @@ class FrictionWindow:
         at_least: bool = False,
         mu_low: float = nan,
         expected_error_ratio: float = nan,
+        slowest_mps: float = nan,
     ) -> None:
         """Hold an estimate; the oldest goes if there is no room.
 
@@ -129,6 +133,7 @@ class FrictionWindow:
             at_least: Whether the passage only says that the friction is at least `mu_low`.
             mu_low: Below this the friction hardly is; NaN when the model says nothing about its error.
             expected_error_ratio: Size of the error to expect, relative to `mu`; NaN when the model says nothing.
+            slowest_mps: How slowly the vehicle drove where it was slowest; NaN when that is not remembered.
 
         Raises:
             ValueError: The time or the estimate is not a number that can be ordered; or an estimate that says "at
@@ -138,7 +143,7 @@ class FrictionWindow:
             raise ValueError(f"estimate {mu} at {left_at_s} s does not belong in a window")
         if at_least and not mu_low > 0.0:
             raise ValueError(f"estimate {mu} at {left_at_s} s says that friction is at least {mu_low}")
-        insort(self._by_time, WindowEntry(left_at_s, mu, at_least, mu_low, expected_error_ratio))
+        insort(self._by_time, WindowEntry(left_at_s, mu, at_least, mu_low, expected_error_ratio, slowest_mps))
         insort(self._ordered_mu, mu)
         self._rows = self._newest = None
         if len(self._by_time) > self.capacity_count:
@@ -164,11 +169,12 @@ class FrictionWindow:
 
 def _rows(entries: Sequence[WindowEntry]) -> WindowRows:
     table = np.fromiter(chain.from_iterable(entries), dtype=np.float64, count=len(entries) * len(WindowEntry._fields))
-    left_at_s, mu, at_least, mu_low, expected_error_ratio = table.reshape(-1, len(WindowEntry._fields)).T
+    left_at_s, mu, at_least, mu_low, expected_error_ratio, slowest_mps = table.reshape(-1, len(WindowEntry._fields)).T
     return WindowRows(
         left_at_s=left_at_s,
         mu=mu,
         at_least=at_least == 1.0,
         mu_low=mu_low,
         expected_error_ratio=expected_error_ratio,
+        slowest_mps=slowest_mps,
     )

@@ -11,11 +11,12 @@ from math import inf
 
 import numpy as np
 
-from roadgrip.records import FrictionInterval
+from roadgrip.records import Advisory, FrictionInterval
 from rsu_app.domain.interval import IntervalPolicy, friction_interval
-from rsu_app.domain.pooling import PoolingPolicy, RefinedInterval, refined_interval_of_window
+from rsu_app.domain.pooling import PoolingPolicy, RefinedInterval, refined_interval_of_window, support_of_window
+from rsu_app.domain.probing import ProbingPolicy, WindowKnowledge, advise_as_known, marked_interval, standing_after
 from rsu_app.domain.window import WindowRows
-from rsu_app.usecases.section_state import RememberedRefined, SectionState
+from rsu_app.usecases.section_state import Remembered, SectionState
 
 NEWEST_COUNT = 1_000
 """Vehicles the refined interval looks at, and the published one behind a change: with so many, more make no difference
@@ -42,10 +43,51 @@ class SectionFriction:
         return self.refined.at_least
 
 
-def published_interval(state: SectionState, *, now_s: float, policy: IntervalPolicy) -> FrictionInterval | None:
-    """Return the friction interval of a section as of now, None if no vehicle is behind it."""
+@dataclass(frozen=True, slots=True)
+class Knowledge:
+    """What the vehicles of a section know as of now.
+
+    Attributes:
+        interval: What is published; provisional at best where too few vehicles name a friction.
+        remembered: The vehicles, and how far they know the friction.
+    """
+
+    interval: FrictionInterval
+    remembered: Remembered
+
+
+def knowledge(
+    state: SectionState, *, now_s: float, policy: IntervalPolicy, pooling_policy: PoolingPolicy
+) -> Knowledge | None:
+    """Return what the vehicles of a section know as of now, None without any.
+
+    Args:
+        state: Of the section.
+        now_s: By the monotonic clock.
+        policy: Of the published interval.
+        pooling_policy: When it is supported.
+    """
     state.window.evict(now_s=now_s)
-    return _published(state, now_s=now_s, policy=policy, counted_from_s=_counted_from_s(state, now_s=now_s))
+    counted_from_s = _counted_from_s(state, now_s=now_s)
+    interval = _published(state, now_s=now_s, policy=policy, counted_from_s=counted_from_s)
+    if interval is None:
+        return None
+    newest = state.window.newest_rows(NEWEST_COUNT)
+    known = state.remembered
+    if known is None or known.newest is not newest or known.counted_from_s != counted_from_s:
+        rows = _since(newest, counted_from_s)
+        support = support_of_window(rows, policy=pooling_policy)
+        assert support is not None  # noqa: S101 - the window holds a vehicle, or there were no interval
+        known = state.remembered = Remembered(newest, counted_from_s, rows, support)
+    return Knowledge(marked_interval(interval, known.support), known)
+
+
+def published_interval(
+    state: SectionState, *, now_s: float, policy: IntervalPolicy, pooling_policy: PoolingPolicy
+) -> FrictionInterval | None:
+    """Return the friction interval of a section as of now, None if no vehicle is behind it."""
+    known = knowledge(state, now_s=now_s, policy=policy, pooling_policy=pooling_policy)
+    return None if known is None else known.interval
 
 
 def section_friction(
@@ -59,21 +101,61 @@ def section_friction(
         policy: Of the published interval.
         pooling_policy: Of the refined one.
     """
-    state.window.evict(now_s=now_s)
-    counted_from_s = _counted_from_s(state, now_s=now_s)
-    interval = _published(state, now_s=now_s, policy=policy, counted_from_s=counted_from_s)
-    if interval is None:
+    known = knowledge(state, now_s=now_s, policy=policy, pooling_policy=pooling_policy)
+    if known is None:
         return None
-    newest = state.window.newest_rows(NEWEST_COUNT)
-    if state.refined is None or state.refined.rows is not newest or state.refined.counted_from_s != counted_from_s:
-        refined = refined_interval_of_window(_since(newest, counted_from_s), policy=pooling_policy)
-        assert refined is not None  # noqa: S101 - the window holds a vehicle, or there were no interval
-        state.refined = RememberedRefined(newest, counted_from_s, refined)
+    remembered = known.remembered
+    refined = remembered.refined or refined_interval_of_window(remembered.rows, policy=pooling_policy)
+    assert refined is not None  # noqa: S101 - the window holds a vehicle, or nothing were known
+    remembered.refined = refined
+    counted_from_s = remembered.counted_from_s
     return SectionFriction(
-        interval=interval,
-        refined=state.refined.interval,
+        interval=known.interval,
+        refined=refined,
         since_change_s=None if counted_from_s == -inf else max(0.0, now_s - counted_from_s),
     )
+
+
+def section_advisory(
+    state: SectionState,
+    *,
+    now_s: float,
+    model_live: bool,
+    policy: IntervalPolicy,
+    pooling_policy: PoolingPolicy,
+    probing_policy: ProbingPolicy,
+) -> Advisory:
+    """Return what drivers on a section are told as of now, and remember it.
+
+    Args:
+        state: Of the section.
+        now_s: By the monotonic clock.
+        model_live: Whether the unit has a model.
+        policy: Of the published interval.
+        pooling_policy: When it is supported.
+        probing_policy: What is asked before the advice rises while it is not.
+    """
+    known = knowledge(state, now_s=now_s, policy=policy, pooling_policy=pooling_policy)
+    advisory = advise_as_known(
+        state.section,
+        interval=None if known is None else known.interval,
+        window=None if known is None else _window_knowledge(state, known.remembered, now_s=now_s),
+        model_live=model_live,
+        policy=state.policy,
+        probing=probing_policy,
+        standing=state.standing,
+    )
+    state.standing = standing_after(state.standing, advisory, now_s=now_s)
+    state.advisory = advisory
+    return advisory
+
+
+def _window_knowledge(state: SectionState, known: Remembered, *, now_s: float) -> WindowKnowledge:
+    # The likelihoods are only asked where few vehicles name a friction.
+    likely = None
+    if known.support.at_least:
+        likely = state.likelihoods.placed(now_s=now_s, counted_from_s=known.counted_from_s)
+    return WindowKnowledge(rows=known.rows, support=known.support, likely=likely)
 
 
 def _published(

@@ -9,33 +9,39 @@ import numpy as np
 
 from roadgrip.errors import BundleError, ConfigurationError
 from roadgrip.features import TABLES, road_features
-from roadgrip.records import Advisory, Passage
+from roadgrip.records import Advisory, KinematicSummary, Passage
 from roadgrip.section import RoadSection
 from roadgrip.units import FloatArray
 from rsu_app.domain.advisory import AdvisoryPolicy
 from rsu_app.domain.change import ChangePolicy
 from rsu_app.domain.judgement import Judgement, judgement
+from rsu_app.domain.likelihoods import LikelihoodWindow
 from rsu_app.domain.plausibility import summary_values
-from rsu_app.domain.pooling import RefinedInterval
+from rsu_app.domain.pooling import RefinedInterval, Support
+from rsu_app.domain.probing import Standing
 from rsu_app.domain.watch import ChangeWatch
 from rsu_app.domain.window import FrictionWindow, WindowRows
 from rsu_app.ports import FrictionModel
 from rsu_app.usecases.changes import Subscription
 
 
-@dataclass(frozen=True, slots=True)
-class RememberedRefined:
-    """A refined interval with what it was made from, so that it is made once.
+@dataclass(slots=True)
+class Remembered:
+    """What the vehicles of a section know, so that it is computed once after each change of the window.
 
     Attributes:
-        rows: The window's newest entries; another object once the window has changed.
+        newest: The window's newest entries; another object once the window has changed.
         counted_from_s: From when on they counted.
-        interval: What they said.
+        rows: Those that count.
+        support: How far they know the friction.
+        refined: What they place together; None until somebody asks.
     """
 
-    rows: WindowRows
+    newest: WindowRows
     counted_from_s: float
-    interval: RefinedInterval
+    rows: WindowRows
+    support: Support
+    refined: RefinedInterval | None = None
 
 
 @dataclass(slots=True)
@@ -47,20 +53,24 @@ class SectionState:
         policy: What the road authority decides about its advice.
         road_rows: The features that follow from the map, by the digest of the feature table.
         window: The estimates of the last hour.
+        likelihoods: What their passages say about every friction; nothing of those before a restart.
         listeners: Who is told of changes.
         watch: Looks for changes of the friction; None where that is not wanted.
         advisory: What drivers were told last; None before the first time.
-        refined: The refined interval that was asked for last.
+        standing: The speed in it and since when it is told.
+        remembered: What the vehicles knew when it was asked for last.
     """
 
     section: RoadSection
     policy: AdvisoryPolicy
     road_rows: Mapping[str, FloatArray]
     window: FrictionWindow
+    likelihoods: LikelihoodWindow
     listeners: set[Subscription]
     watch: ChangeWatch | None = None
     advisory: Advisory | None = None
-    refined: RememberedRefined | None = None
+    standing: Standing | None = None
+    remembered: Remembered | None = None
 
 
 def section_states(
@@ -94,6 +104,7 @@ def section_states(
             policy=section_policies.get(section.section_id, policy),
             road_rows=_road_rows(section),
             window=FrictionWindow(window_s=window_s, capacity_count=window_capacity_count),
+            likelihoods=LikelihoodWindow(window_s=window_s),
             listeners=set(),
             watch=None if change_policy is None else ChangeWatch(policy=change_policy, window_s=window_s),
         )
@@ -112,6 +123,18 @@ def _road_rows(section: RoadSection) -> dict[str, FloatArray]:
             if not feature.minimum <= value <= feature.maximum:
                 raise ConfigurationError(f"section {section.section_id}: {feature.name} = {value:.6g} is out of range")
     return rows
+
+
+def slowest_mps(summary: KinematicSummary) -> float:
+    """Return how slowly a vehicle drove where it was slowest."""
+    return float(summary_values(summary)[TABLES[summary.table_digest].index("speed_min_mps")])
+
+
+def profile_ratio(summary: KinematicSummary) -> FloatArray | None:
+    """Return the log likelihood of friction that a vehicle sent, None with a table that has none. (k,)"""
+    names = TABLES[summary.table_digest].names
+    places = [place for place, name in enumerate(names) if name.startswith("grip_profile_")]
+    return summary_values(summary)[places].astype(np.float64) if places else None
 
 
 def judged_passage(passage: Passage, state: SectionState, model: FrictionModel) -> Judgement:

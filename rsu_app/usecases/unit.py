@@ -17,6 +17,7 @@ from roadgrip.records import (
     AdvisoryNotice,
     Beacon,
     FrictionInterval,
+    KinematicSummary,
     MapOffer,
     NotCounted,
     Outcome,
@@ -25,19 +26,31 @@ from roadgrip.records import (
 )
 from roadgrip.section import RoadSection
 from roadgrip.units import WINDOW_S
-from rsu_app.domain.advisory import AdvisoryPolicy, advise
+from rsu_app.domain.advisory import AdvisoryPolicy
 from rsu_app.domain.change import ChangePolicy
 from rsu_app.domain.interval import IntervalPolicy
 from rsu_app.domain.plausibility import age_flag, implausibility
 from rsu_app.domain.pooling import PoolingPolicy
+from rsu_app.domain.probing import ProbingPolicy
 from rsu_app.domain.watch import MEMORY_WINDOWS_COUNT
 from rsu_app.domain.window import CAPACITY_COUNT, WindowRows
 from rsu_app.ports import Clock, Event, FrictionModel, PassageEntry, PassageStore, StoredEstimate
 from rsu_app.usecases.changes import Subscription
 from rsu_app.usecases.readiness import Check, ClockWatch, Readiness, check_golden, model_check, store_check
 from rsu_app.usecases.recall import Recall, content_digest, outcome_of_repetition, values_digest
-from rsu_app.usecases.section_friction import SectionFriction, published_interval, section_friction
-from rsu_app.usecases.section_state import SectionState, judged_passage, section_states
+from rsu_app.usecases.section_friction import (
+    SectionFriction,
+    published_interval,
+    section_advisory,
+    section_friction,
+)
+from rsu_app.usecases.section_state import (
+    SectionState,
+    judged_passage,
+    profile_ratio,
+    section_states,
+    slowest_mps,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +96,8 @@ class RoadSideUnit:
         policy: What the road authority decides about advice.
         section_policies: Decisions for single sections that replace `policy`, by section id.
         interval_policy: What the operator decides about intervals.
-        pooling_policy: What the refined interval assumes.
+        pooling_policy: What the refined interval assumes, and when the published one is supported.
+        probing_policy: What is asked before the advice rises while it is not.
         change_policy: When a road is held to have changed, so that older estimates no longer count; None never.
         limits: How far things may grow.
 
@@ -103,6 +117,7 @@ class RoadSideUnit:
         section_policies: Mapping[str, AdvisoryPolicy] | None = None,
         interval_policy: IntervalPolicy | None = None,
         pooling_policy: PoolingPolicy | None = None,
+        probing_policy: ProbingPolicy | None = None,
         change_policy: ChangePolicy | None = None,
         limits: UnitLimits | None = None,
         model_absence: str = "no model is loaded",
@@ -110,6 +125,7 @@ class RoadSideUnit:
         self._limits = limits or UnitLimits()
         self._interval_policy = interval_policy or IntervalPolicy()
         self._pooling_policy = pooling_policy or PoolingPolicy()
+        self._probing_policy = probing_policy or ProbingPolicy()
         # A change within the last hour can only be told by what was found before.
         self._memory_s = self._limits.window_s * (1 if change_policy is None else MEMORY_WINDOWS_COUNT)
         self._store = store
@@ -389,13 +405,15 @@ class RoadSideUnit:
             return Rejected(Reason.STORE_UNAVAILABLE, str(error))
         if known is not None:
             return outcome_of_repetition(known, passage_id=estimate.passage_id, content=estimate.content_digest)
-        if self._admit(estimate, left_at_s=left_at_s, age_s=entry.passage.age_s):
+        if self._admit(estimate, left_at_s=left_at_s, age_s=entry.passage.age_s, summary=entry.passage.summary):
             state = self._states[estimate.section_id]
             self._advisory(state)
             _notify(state)
         return Accepted(estimate.flags)
 
-    def _admit(self, estimate: StoredEstimate, *, left_at_s: float, age_s: float) -> bool:
+    def _admit(
+        self, estimate: StoredEstimate, *, left_at_s: float, age_s: float, summary: KinematicSummary | None = None
+    ) -> bool:
         """Remember a stored estimate and return whether it counts from now on.
 
         Once only: restoring may read a passage back between its commit and the moment its sender is answered.
@@ -404,6 +422,7 @@ class RoadSideUnit:
             estimate: What the store holds.
             left_at_s: When the vehicle left the section, by the monotonic clock.
             age_s: How long ago that is, by the clock that knows.
+            summary: What it sent; None when only the estimate is remembered.
         """
         if estimate.passage_id in self._recall:
             return False
@@ -422,21 +441,30 @@ class RoadSideUnit:
             at_least=estimate.at_least,
             mu_low=nan if estimate.mu_low is None else estimate.mu_low,
             expected_error_ratio=nan if estimate.expected_error_ratio is None else estimate.expected_error_ratio,
+            slowest_mps=nan if summary is None else slowest_mps(summary),
         )
+        profile = None if summary is None else profile_ratio(summary)
+        if profile is not None:
+            state.likelihoods.add(left_at_s=left_at_s, profile_ratio=profile)
         return True
 
     def _interval(self, state: SectionState) -> FrictionInterval | None:
-        return published_interval(state, now_s=self._clock.monotonic_s(), policy=self._interval_policy)
+        return published_interval(
+            state,
+            now_s=self._clock.monotonic_s(),
+            policy=self._interval_policy,
+            pooling_policy=self._pooling_policy,
+        )
 
     def _advisory(self, state: SectionState) -> Advisory:
-        state.advisory = advise(
-            state.section,
-            interval=self._interval(state),
+        return section_advisory(
+            state,
+            now_s=self._clock.monotonic_s(),
             model_live=self._model is not None,
-            policy=state.policy,
-            previous_speed_mps=None if state.advisory is None else state.advisory.speed_mps,
+            policy=self._interval_policy,
+            pooling_policy=self._pooling_policy,
+            probing_policy=self._probing_policy,
         )
-        return state.advisory
 
     def _notice(self, state: SectionState) -> AdvisoryNotice:
         return AdvisoryNotice(

@@ -10,13 +10,14 @@ from hypothesis import strategies as st
 from roadgrip.features import PROFILE_FRICTIONS_MU
 from roadgrip.records import AdvisoryReason, NotCounted
 from roadgrip.sections import read_section
-from rsu_app.domain.advisory import AdvisoryPolicy, advise
+from rsu_app.domain.advisory import AdvisoryPolicy
 from rsu_app.domain.change import ChangePolicy
 from rsu_app.domain.interval import IntervalPolicy
 from rsu_app.domain.judgement import Judgement
 from rsu_app.domain.pooling import PoolingPolicy
+from rsu_app.domain.probing import ProbingPolicy
 from rsu_app.domain.profiles import ProfilePolicy
-from rsu_app.usecases.section_friction import published_interval
+from rsu_app.usecases.section_friction import section_advisory
 from rsu_app.usecases.section_state import section_states
 from training.loop_unit import LoopUnit, UnitRules
 
@@ -48,7 +49,7 @@ passages = st.lists(st.tuples(st.floats(0.05, 1.0), st.floats(5.0, 600.0), st.bo
 @given(heard=passages, cut=st.booleans())
 def test_the_road_side_unit_publishes_and_advises_the_same(heard, cut):
     change = ChangePolicy() if cut else None
-    unit = LoopUnit(SECTION, UnitRules(change=change))
+    unit = LoopUnit(SECTION, UnitRules(change=change, probing=ProbingPolicy()))
     states = section_states(
         [SECTION],
         policy=AdvisoryPolicy(),
@@ -58,18 +59,25 @@ def test_the_road_side_unit_publishes_and_advises_the_same(heard, cut):
         change_policy=change,
     )
     state = states[SECTION.section_id]
-    now_s, speed_mps = 0.0, None
+    now_s = 0.0
     for mu, later_s, at_least in heard:
         now_s += later_s
-        unit.hear(said(mu, at_least=at_least), left_at_s=now_s, profile_ratio=FLAT)
-        state.window.add(left_at_s=now_s, mu=mu, at_least=at_least, mu_low=0.8 * mu, expected_error_ratio=0.05)
+        likely = peak(mu, width_ratio=0.5)
+        unit.hear(said(mu, at_least=at_least), left_at_s=now_s, profile_ratio=likely, slowest_mps=15.0)
+        state.window.add(
+            left_at_s=now_s, mu=mu, at_least=at_least, mu_low=0.8 * mu, expected_error_ratio=0.05, slowest_mps=15.0
+        )
+        state.likelihoods.add(left_at_s=now_s, profile_ratio=likely)
         if state.watch is not None and not at_least:
             state.watch.add(left_at_s=now_s, mu=mu)
-        interval = published_interval(state, now_s=now_s, policy=IntervalPolicy())
-        told = advise(
-            SECTION, interval=interval, model_live=True, policy=AdvisoryPolicy(), previous_speed_mps=speed_mps
+        told = section_advisory(
+            state,
+            now_s=now_s,
+            model_live=True,
+            policy=IntervalPolicy(),
+            pooling_policy=PoolingPolicy(),
+            probing_policy=ProbingPolicy(),
         )
-        speed_mps = told.speed_mps
         assert unit.advise(now_s=now_s) == told
 
 
@@ -121,3 +129,14 @@ def test_a_window_cut_at_a_change_forgets_what_was_before(pooling):
         mus, rules=UnitRules(change=ChangePolicy(), pooling=pooling), profiles=[peak(mu) for mu in mus]
     )
     assert unit.interval(now_s=60.0 * 51).mu_new == pytest.approx(0.2, rel=0.15)
+
+
+def test_where_likelihoods_decide_the_advice_is_held_where_they_leave_the_friction_open():
+    rules = UnitRules(pooling=ProfilePolicy(), probing=ProbingPolicy())
+    unit = unit_that_heard([0.45] * 30, rules=rules, profiles=[peak(0.45)] * 30)
+    known = unit.advise(now_s=30 * 60.0)
+    for i in range(30, 96):
+        unit.hear(said(0.2, at_least=True), left_at_s=60.0 * i, profile_ratio=FLAT)
+    held = unit.advise(now_s=95 * 60.0)
+    assert unit.at_least
+    assert held.speed_mps == known.speed_mps

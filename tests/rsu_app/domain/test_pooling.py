@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rsu_app.domain.interval import median_ranks
 from rsu_app.domain.pooling import (
     PoolingPolicy,
     bounds_despite_liars,
@@ -16,6 +17,7 @@ from rsu_app.domain.pooling import (
     posterior_placement,
     refined_interval,
     refined_interval_of_window,
+    support,
 )
 from rsu_app.domain.wear import estimate_density
 from rsu_app.domain.window import FrictionWindow
@@ -130,8 +132,10 @@ def test_scaling_every_estimate_scales_the_interval(entries, factor):
 def test_the_median_holds_the_result(entries):
     mu, _, at_least = columns(entries)
     placed = refined(entries)
-    median_mu = np.median(mu) if placed.at_least else placing_median_mu(mu, at_least)[0]
-    assert abs(placed.mu_new * 0.9 / median_mu - 1.0) <= POLICY.clip_frac + 1e-9
+    if placed.at_least:
+        assert placed.mu_new * 0.9 >= np.median(mu) * (1.0 - 1e-9)
+    else:
+        assert abs(placed.mu_new * 0.9 / placing_median_mu(mu, at_least)[0] - 1.0) <= POLICY.clip_frac + 1e-9
 
 
 @given(ENTRIES, st.floats(0.1, 1.2), st.floats(0.0, 0.4))
@@ -161,6 +165,36 @@ def test_a_few_who_name_a_friction_among_many_who_do_not_place_a_bound():
     few = refined([*exact(0.8, 0.82), *[(0.3, nan, True)] * 5])
     assert few.at_least
     assert few.mu_new == pytest.approx(0.3 / 0.9)
+
+
+@given(
+    named=st.lists(st.floats(0.1, 1.2), min_size=6, max_size=40),
+    bounds=st.lists(st.floats(0.01, 1.2), max_size=200),
+    further=st.lists(st.floats(0.01, 1.2), max_size=200),
+)
+def test_no_number_of_vehicles_that_know_nothing_lowers_what_those_who_know_are_sure_of(named, bounds, further):
+    sure_mu = sorted(named)[median_ranks(len(named), confidence_frac=0.95).low_rank - 1]
+    for some in (bounds, bounds + further):
+        placed = refined([*exact(*named), *[(mu, 0.0, True) for mu in some]])
+        assert placed.mu_new >= sure_mu / 0.9 * (1.0 - POLICY.clip_frac) - 1e-9
+
+
+@given(ENTRIES)
+def test_support_counts_and_marks_as_the_refined_interval_does(entries):
+    mu, _, at_least = columns(entries)
+    known, placed = support(mu, at_least, policy=POLICY), refined(entries)
+    assert known is not None
+    assert (known.named_count, known.censored_count) == (placed.informative_count, placed.censored_count)
+    assert known.at_least == placed.at_least
+    assert known.least_mu_low == pytest.approx(0.8 / 0.9 * np.median(mu))
+    if known.at_least:
+        assert known.bound_mu == pytest.approx(0.9 * placed.mu_new)
+    if known.named_count:
+        assert known.named_mu_low == pytest.approx(0.8 / 0.9 * np.median(mu[~at_least]))
+
+
+def test_nobody_supports_nothing():
+    assert support(np.zeros(0), np.zeros(0, dtype=bool), policy=POLICY) is None
 
 
 def test_low_bounds_say_little():

@@ -121,3 +121,30 @@ def test_a_grid_that_cannot_hold_a_profile_is_refused(grid):
 def test_a_policy_that_contradicts_itself_is_refused(belief):
     with pytest.raises(ValueError, match=r".+"):
         ProfilePolicy(**belief)
+
+
+def slow_drives(rng, count, *, slope):
+    """Profiles that leave nearly everything open and lean a little, all the same way, besides their noise."""
+    return -np.log(GRID_MU) * (slope + 0.1 * rng.standard_normal((count, 1)))
+
+
+def test_a_little_that_all_passages_share_excludes_nothing_however_many_they_are(rng):
+    for count in (10, 60, 1000):
+        placed = pooled(slow_drives(rng, count, slope=0.05), ProfilePolicy())
+        assert placed.at_least
+        assert placed.mu_new == pytest.approx(new_tyre_grid_mu(GRID_MU)[0], rel=0.01)
+
+
+def test_what_is_excluded_by_each_a_little_more_than_they_may_share_is_excluded_by_many(rng):
+    few, many = (pooled(slow_drives(rng, count, slope=0.6), ProfilePolicy()) for count in (2, 60))
+    assert few.at_least
+    assert not many.at_least
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 40), st.floats(0.0, 0.5))
+def test_the_more_passages_may_share_the_less_is_excluded(seed, count, shared):
+    profiles = drawn(np.random.default_rng(seed), count, mu_new=0.5, width=(0.3, 2.0))
+    careful, careless = (pooled(profiles, ProfilePolicy(shared_log_ratio=one)) for one in (shared, 0.0))
+    assert careful.at_least >= careless.at_least
+    if careful.at_least and careless.at_least:
+        assert careful.mu_new <= careless.mu_new + 1e-12

@@ -84,9 +84,11 @@ def test_a_full_window_keeps_those_that_left_last():
 
 def test_the_rows_hold_everything_that_was_said_oldest_first():
     window = FrictionWindow()
-    window.add(left_at_s=2.0, mu=0.5, at_least=True, mu_low=0.4, expected_error_ratio=0.2)
+    window.add(left_at_s=2.0, mu=0.5, at_least=True, mu_low=0.4, expected_error_ratio=0.2, slowest_mps=12.0)
     window.add(left_at_s=1.0, mu=0.6)
     rows = window.rows
+    assert isnan(rows.slowest_mps[0])
+    assert rows.slowest_mps[1] == 12.0
     assert rows.left_at_s.tolist() == [1.0, 2.0]
     assert rows.mu.tolist() == [0.6, 0.5]
     assert rows.at_least.tolist() == [False, True]

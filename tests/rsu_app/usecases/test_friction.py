@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from roadgrip.reasons import Reason
-from roadgrip.records import Confidence
+from roadgrip.records import AdvisoryReason, Confidence
 from rsu_app.domain.change import ChangePolicy
 from rsu_app.usecases import SectionFriction, UnitLimits
 from rsu_app.usecases.section_friction import NEWEST_COUNT
@@ -192,3 +192,41 @@ def test_the_refined_interval_is_that_of_the_newest_thousand():
     before = friction_of(site).refined
     state.window.add(left_at_s=site.clock.monotonic_s() - 3500.0, mu=0.1, expected_error_ratio=0.01)
     assert friction_of(site).refined == before
+
+
+def test_what_hardly_anybody_supports_is_provisional_and_its_advice_is_held():
+    model = WaveringModel()
+    site = Site(model=model)
+
+    async def story():
+        await traffic(site, mu_new=0.6, count=60, every_s=30.0, first_seed=100)
+        before = site.advisory()
+        model.wavers = True
+        await traffic(site, mu_new=0.1, count=120, every_s=30.0, first_seed=300)
+        return before
+
+    before = asyncio.run(story())
+    assert before.confidence is Confidence.RECOMMENDED
+    after = site.advisory()
+    assert friction_of(site).at_least
+    assert site.interval().confidence is Confidence.PROVISIONAL
+    assert after.interval == site.interval()
+    assert after.reason is AdvisoryReason.LOWER_CONFIDENCE_BOUND
+    assert after.speed_mps == before.speed_mps
+
+
+def test_likelihoods_are_remembered_with_the_vehicles_and_forgotten_with_the_unit():
+    site = Site()
+
+    async def story():
+        await traffic(site, mu_new=0.5, count=5, first_seed=100)
+        again = site.restarted()
+        await again.unit.restore()
+        return again
+
+    again = asyncio.run(story())
+    state, restored = (one.unit._states[SECTION.section_id] for one in (site, again))  # noqa: SLF001 - what it holds
+    assert (len(state.likelihoods), len(restored.likelihoods)) == (5, 0)
+    assert len(restored.window.rows.mu) == 5
+    assert np.isfinite(state.window.rows.slowest_mps).all()
+    assert np.isnan(restored.window.rows.slowest_mps).all()

@@ -15,9 +15,11 @@ from training.study.generalise.loop_cases import (
     FRICTIONS_MU,
     PHASE_NAMES,
     POLICY,
+    QUICK_SETTINGS,
     RULES,
     SETTINGS,
     TEACHINGS,
+    Setting,
 )
 from training.study.generalise.loop_measures import (
     Phase,
@@ -27,7 +29,7 @@ from training.study.generalise.loop_measures import (
     phase_measures,
     phases,
 )
-from training.study.generalise.loop_model import DATA_SETS, Taught, loop_model, what_is_taught
+from training.study.generalise.loop_model import DATA_SETS, Taught, Teaching, loop_models, what_is_taught
 from training.study.generalise.loop_tables import (
     Courses,
     Drifts,
@@ -37,6 +39,7 @@ from training.study.generalise.loop_tables import (
     settled_table,
     taught_table,
     traffic_table,
+    unit_table,
 )
 from training.study.generalise.loop_vehicles import simulated, terms_of, travellers
 from training.study.generalise.loop_verdict import verdict
@@ -46,7 +49,7 @@ ROADS = ("long-turn", "s-turn")
 """On the paper's third road, the sharp turn at 20 km/h, there is nothing to advise."""
 QUICK_ROADS = ROADS[:1]
 PHASE_S = 7200.0
-QUICK_PHASE_S = 5400.0
+QUICK_PHASE_S = 4500.0
 VEHICLES_PER_HOUR = 60.0
 QUICK_VEHICLES_PER_HOUR = 30.0
 
@@ -56,11 +59,10 @@ def courses(bench: Workbench, grade: SensorGrade) -> Courses:
     roads = QUICK_ROADS if bench.quick else ROADS
 
     def work() -> Arrays:
-        models = {}
-        for done, teaching in enumerate(TEACHINGS):
-            bench.report(f"models of the closed loop, {grade}", done, len(TEACHINGS))
-            models[teaching.name] = loop_model(bench, grade, teaching)
-        cases = [Case(s.name, models[s.teaching], RULES[s.rule], s.compliance_frac, s.told_ratio) for s in SETTINGS]
+        models = loop_models(bench, grade, _taught(bench))
+        cases = [
+            Case(s.name, models[s.teaching], RULES[s.rule], s.compliance_frac, s.told_ratio) for s in _settings(bench)
+        ]
         found: dict[str, dict[str, Course]] = {}
         bench.report(f"roads of the closed loop, {grade}", 0, len(roads))
         side_by_side(
@@ -103,10 +105,19 @@ def _phase_s(bench: Workbench) -> float:
     return QUICK_PHASE_S if bench.quick else PHASE_S
 
 
+def _settings(bench: Workbench) -> tuple[Setting, ...]:
+    return QUICK_SETTINGS if bench.quick else SETTINGS
+
+
+def _taught(bench: Workbench) -> list[Teaching]:
+    wanted = {setting.teaching for setting in _settings(bench)}
+    return [teaching for teaching in TEACHINGS if teaching.name in wanted]
+
+
 def compute(bench: Workbench, grade: SensorGrade) -> Result:
     """Let vehicles drive by what units say, and units judge what those vehicles find."""
     went = courses(bench, grade)
-    taught = {one.name: what_is_taught(bench, grade, one) for one in TEACHINGS if not one.in_a_box}
+    taught = {one.name: what_is_taught(bench, grade, one) for one in _taught(bench) if not one.in_a_box}
     when = phases(FRICTIONS_MU, phase_s=_phase_s(bench))
     measured = {
         road: {
@@ -115,19 +126,21 @@ def compute(bench: Workbench, grade: SensorGrade) -> Result:
         }
         for road, by_name in went.items()
     }
-    drifts = _drifts(went, when)
-    vehicles_count = sum(len(by_name[SETTINGS[0].name].at_s) for by_name in went.values())
+    settings = _settings(bench)
+    drifts = _drifts(went, when, settings)
+    vehicles_count = sum(len(by_name[settings[0].name].at_s) for by_name in went.values())
     return Result(
-        figures=_figures(measured, drifts, taught),
+        figures=_figures(measured, drifts, taught, settings),
         sizes={
             "roads": len(went),
             "vehicles_by_setting": vehicles_count,
-            "settings": len(SETTINGS),
+            "settings": len(settings),
             "slot_s": round(SLOT_S),
             "phase_s": round(_phase_s(bench)),
             "seed": bench.seed,
         },
         tables=(
+            unit_table(measured),
             taught_table(taught),
             *(settled_table(road, by_name) for road, by_name in measured.items()),
             *(traffic_table(road, by_name) for road, by_name in measured.items()),
@@ -137,20 +150,22 @@ def compute(bench: Workbench, grade: SensorGrade) -> Result:
     )
 
 
-def _drifts(went: Courses, when: Sequence[Phase]) -> Drifts:
+def _drifts(went: Courses, when: Sequence[Phase], settings: Sequence[Setting]) -> Drifts:
     return {
         setting: {
             road: [drift(by_name[setting.name], by_name[setting.right.name], phase) for phase in when]
             for road, by_name in went.items()
         }
-        for setting in SETTINGS
+        for setting in settings
         if setting.told_ratio != 1.0
     }
 
 
-def _figures(measured: Measured, drifts: Drifts, taught: Mapping[str, Taught]) -> dict[str, float]:
+def _figures(
+    measured: Measured, drifts: Drifts, taught: Mapping[str, Taught], settings: Sequence[Setting]
+) -> dict[str, float]:
     figures: dict[str, float] = {}
-    for setting in SETTINGS:
+    for setting in settings:
         for place, phase in enumerate(PHASE_NAMES):
             here = [by_name[setting.name][place] for by_name in measured.values()]
             key = f"{setting.name}.{phase}"
@@ -161,6 +176,7 @@ def _figures(measured: Measured, drifts: Drifts, taught: Mapping[str, Taught]) -
             figures[f"{key}.worst_left_road"] = max(one.left_road_frac for one in here)
             figures[f"{key}.least_counted"] = min(one.counted_frac for one in here)
             figures[f"{key}.fastest_advice"] = max(one.advised_ratio for one in here)
+            figures[f"{key}.slowest_advice"] = min(one.advised_ratio for one in here)
     for setting, by_road in drifts.items():
         for place, phase in enumerate(PHASE_NAMES):
             here_drifts, way = [by_phase[place] for by_phase in by_road.values()], np.sign(setting.told_ratio - 1.0)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from rsu_app.domain.advisory import AdvisoryPolicy
 from rsu_app.domain.change import ChangePolicy
 from rsu_app.domain.pooling import PoolingPolicy
+from rsu_app.domain.probing import ProbingPolicy
 from rsu_app.domain.profiles import ProfilePolicy
 from training.loop_unit import UnitRules
 from training.study.generalise.loop_model import DATA_SETS, USUAL_SETS, Teaching
@@ -33,18 +34,18 @@ TEACHINGS: tuple[Teaching, ...] = (
 """The last one is a warning: it knows nothing but speeds."""
 
 MEDIAN = "median"
-MEDIAN_CUT = "median, cut at changes"
-REFINED = "refined"
+HELD = "median, held while unknown"
+HELD_CUT = "median, held while unknown, cut at changes"
 REFINED_CUT = "refined, cut at changes"
 LIKELIHOODS = "likelihoods, cut at changes"
 RULES: dict[str, UnitRules] = {
     MEDIAN: UnitRules(advisory=POLICY),
-    MEDIAN_CUT: UnitRules(advisory=POLICY, change=ChangePolicy()),
-    REFINED: UnitRules(advisory=POLICY, pooling=PoolingPolicy()),
+    HELD: UnitRules(advisory=POLICY, probing=ProbingPolicy()),
+    HELD_CUT: UnitRules(advisory=POLICY, probing=ProbingPolicy(), change=ChangePolicy()),
     REFINED_CUT: UnitRules(advisory=POLICY, change=ChangePolicy(), pooling=PoolingPolicy()),
     LIKELIHOODS: UnitRules(advisory=POLICY, change=ChangePolicy(), pooling=ProfilePolicy()),
 }
-"""What advice rests on."""
+"""What advice rests on. A road side unit holds it while the friction is unknown; the others show what that is for."""
 
 COMPLIANCES_FRAC = (0.0, 0.5, 1.0)
 NEARLY_ALL_FRAC = 0.9
@@ -83,12 +84,17 @@ def _all_obey(teaching: str, rule: str) -> tuple[Setting, ...]:
     return tuple(Setting(teaching, rule, 1.0, ratio) for ratio in WRONG_RATIOS)
 
 
+QUICK_SETTINGS: tuple[Setting, ...] = (
+    *(Setting(BEST, rule, share) for rule in (MEDIAN, HELD, HELD_CUT) for share in COMPLIANCES_FRAC),
+    *(Setting(teaching, MEDIAN, share) for teaching in (ANY, PAPER, BOXED) for share in COMPLIANCES_FRAC[-1:]),
+    *(setting for rule in (MEDIAN, HELD, HELD_CUT) for setting in _all_obey(BEST, rule)),
+)
 SETTINGS: tuple[Setting, ...] = (
     *(Setting(BEST, rule, share) for rule in RULES for share in (*COMPLIANCES_FRAC[:2], NEARLY_ALL_FRAC, 1.0)),
     *(Setting(teaching, MEDIAN, share) for teaching in (ANY, PAPER) for share in COMPLIANCES_FRAC),
-    *(Setting(ANY, LIKELIHOODS, share) for share in (NEARLY_ALL_FRAC, 1.0)),
     *(Setting(BOXED, MEDIAN, share) for share in COMPLIANCES_FRAC[1:]),
     Setting(SPEED, MEDIAN, 1.0),
-    *(setting for teaching in (BEST, BOXED, ANY, PAPER, SPEED) for setting in _all_obey(teaching, MEDIAN)),
-    *(setting for rule in (REFINED_CUT, LIKELIHOODS) for setting in _all_obey(BEST, rule)),
+    *(Setting(BEST, HELD, 0.5, ratio) for ratio in WRONG_RATIOS),
+    *(setting for teaching in (BEST, ANY, PAPER, SPEED) for setting in _all_obey(teaching, MEDIAN)),
+    *(setting for rule in RULES if rule != MEDIAN for setting in _all_obey(BEST, rule)),
 )

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -207,6 +207,22 @@ def loop_model(bench: Workbench, grade: SensorGrade, teaching: Teaching) -> Loop
             ordinary=None if teaching.in_a_box else _ordinary(drives, taught, table, seed=bench.seed),
         ),
     )
+
+
+def loop_models(bench: Workbench, grade: SensorGrade, teachings: Sequence[Teaching]) -> dict[str, LoopModel]:
+    """Return taught models by name; those that only differ by their envelope are taught once."""
+    models: dict[str, LoopModel] = {}
+    for done, one in enumerate(teachings):
+        bench.report(f"models of the closed loop, {grade}", done, len(teachings))
+        whole = [
+            two.name for two in teachings[:done] if one.in_a_box and replace(one, name=two.name, in_a_box=False) == two
+        ]
+        if whole:
+            known = models[whole[0]]
+            models[one.name] = replace(known, manifest=replace(known.manifest, ordinary=None))
+        else:
+            models[one.name] = loop_model(bench, grade, one)
+    return models
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,11 +14,12 @@ from training.study.chapter import Cell, Table
 from training.study.generalise.loop_cases import (
     ANY,
     BEST,
+    COMPLIANCES_FRAC,
     FRICTIONS_MU,
+    HELD,
+    HELD_CUT,
     LIKELIHOODS,
     MEDIAN,
-    MEDIAN_CUT,
-    NEARLY_ALL_FRAC,
     PAPER,
     POLICY,
     REFINED_CUT,
@@ -63,6 +64,40 @@ def taught_table(taught: Mapping[str, Taught]) -> Table:
         tuple(rows),
         f"All by models that had not seen the drive, nor its road if it is a random one. {ANY_SPEED_SET}: drivers wish "
         "any speed, slow or fast, whatever the friction.",
+    )
+
+
+def unit_table(by_road: Measured) -> Table:
+    """Return how a road side unit does as it is, by road and by the share of drivers who obey."""
+    rules = [Setting(BEST, rule, share) for rule in (HELD, HELD_CUT) for share in COMPLIANCES_FRAC]
+    return Table(
+        "A road side unit as it is",
+        (
+            "rule",
+            "obey, %",
+            "road",
+            *(f"summaries that count at {mu:g}, %" for mu in FRICTIONS_MU),
+            *(f"error at {mu:g}, %" for mu in FRICTIONS_MU),
+            *(f"marked as a bound at {mu:g}, % of the time" for mu in FRICTIONS_MU),
+            *(f"lag at {mu:g}, min" for mu in FRICTIONS_MU),
+            *(f"advice over the right one at {mu:g}" for mu in FRICTIONS_MU),
+        ),
+        tuple(
+            (
+                setting.rule,
+                100.0 * setting.compliance_frac,
+                road,
+                *(_known(100.0 * one.counted_frac, "none") for one in by_name[setting.name]),
+                *(_known(100.0 * one.error_frac, "silent") for one in by_name[setting.name]),
+                *(_known(100.0 * one.marked_frac, "silent") for one in by_name[setting.name]),
+                *(_known(one.lag_s / 60.0, "never") for one in by_name[setting.name]),
+                *(one.advised_ratio for one in by_name[setting.name]),
+            )
+            for road, by_name in by_road.items()
+            for setting in rules
+        ),
+        "The median is published; advice is held while too few vehicles name a friction. Cut at changes is an option. "
+        "What is marked as a bound claims nothing: its error is that of what the model takes for usual.",
     )
 
 
@@ -168,8 +203,11 @@ def pictures(went: Courses, when: Sequence[Phase]) -> tuple[Lines, ...]:
         ]
     )
 
+    def driven(settings: Sequence[Setting]) -> list[Setting]:
+        return [setting for setting in settings if setting.name in by_name]
+
     def published(title: str, settings: Sequence[Setting]) -> Lines:
-        said = [(_label(s), tuple(published_mu(by_name[s.name], at_s).tolist())) for s in settings]
+        said = [(_label(s), tuple(published_mu(by_name[s.name], at_s).tolist())) for s in driven(settings)]
         return Lines(
             f"{title}: {road}",
             Axis("hours"),
@@ -180,25 +218,30 @@ def pictures(went: Courses, when: Sequence[Phase]) -> tuple[Lines, ...]:
             ),
         )
 
-    obedient = [Setting(BEST, rule, 1.0) for rule in (MEDIAN, REFINED_CUT, LIKELIHOODS)]
-    half = [Setting(BEST, rule, 0.5) for rule in (MEDIAN, MEDIAN_CUT, REFINED_CUT, LIKELIHOODS)]
+    def advised(title: str, settings: Sequence[Setting]) -> Lines:
+        said = [(_label(s), tuple((3.6 * advised_mps(by_name[s.name], at_s)).tolist())) for s in driven(settings)]
+        return Lines(
+            f"{title}: {road}",
+            Axis("hours"),
+            Axis("advised speed, km/h", low=0.0),
+            (
+                Line("for the true friction", hours, tuple((3.6 * right).tolist()), dashed=True),
+                *(Line(name, hours, values) for name, values in said),
+            ),
+        )
+
+    obedient = [Setting(BEST, rule, 1.0) for rule in (MEDIAN, REFINED_CUT, LIKELIHOODS, HELD_CUT)]
+    half = [Setting(BEST, rule, 0.5) for rule in (MEDIAN, HELD_CUT, REFINED_CUT, LIKELIHOODS)]
     models = [Setting(name, MEDIAN, 1.0) for name in (PAPER, BEST, ANY, SPEED)]
-    lied = [Setting(BEST, MEDIAN, 1.0, ratio) for ratio in (WRONG_RATIOS[0], 1.0, WRONG_RATIOS[1])]
-    advice = [Setting(BEST, rule, share) for rule in (MEDIAN, LIKELIHOODS) for share in (0.5, NEARLY_ALL_FRAC, 1.0)]
+    lied = [Setting(BEST, HELD, 1.0, ratio) for ratio in (WRONG_RATIOS[0], 1.0, WRONG_RATIOS[1])]
+    advice = [Setting(BEST, rule, 1.0) for rule in (MEDIAN, HELD, LIKELIHOODS)]
     return (
         published("What is published when half of the drivers obey", half),
         published("What is published when all drivers obey", obedient),
         published("What is published by models when all drivers obey", models),
         published("What is published when the advice is wrong on purpose", lied),
-        Lines(
-            f"What is advised: {road}",
-            Axis("hours"),
-            Axis("advised speed, km/h", low=0.0),
-            (
-                Line("for the true friction", hours, tuple((3.6 * right).tolist()), dashed=True),
-                *(Line(_label(s), hours, tuple((3.6 * advised_mps(by_name[s.name], at_s)).tolist())) for s in advice),
-            ),
-        ),
+        advised("What is advised when all drivers obey", advice),
+        advised("What is advised when the advice is wrong on purpose", lied),
     )
 
 

@@ -13,13 +13,15 @@ from training.study.generalise.loop_cases import (
     BEST,
     BOXED,
     FRICTIONS_MU,
+    HELD,
+    HELD_CUT,
     LIKELIHOODS,
     MEDIAN,
-    MEDIAN_CUT,
     NEARLY_ALL_FRAC,
     PHASE_NAMES,
     REFINED_CUT,
     SETTINGS,
+    WRONG_RATIOS,
     Setting,
 )
 from training.study.generalise.loop_measures import KNOWN_WITHIN_FRAC, farthest, largest
@@ -29,21 +31,33 @@ from vehicle_client.simulator.plan import SensorGrade
 
 CONFIRMS_ABOVE_FRAC = 0.1
 """A wrong advice confirms itself if it moves the published friction by more, in the direction of the lie."""
+LOCKED_BELOW_RATIO = 0.7
+"""Advice below this share of the right one is locked in; rounding down by 5 km/h alone may cost a seventh of it."""
 COUNTED_FRAC = 0.95
 """So many of the summaries of obedient drivers must count."""
 
 
 def verdict(results: Mapping[SensorGrade, Result]) -> Verdict:
-    """Say who counts, what is found, and whether a lie comes true."""
+    """Say who counts, what is found and advised, and whether a lie comes true."""
     grade = leading_grade(results)
     figures = results[grade].figures
-    text = _counted_words(results, grade) + _found_words(figures, grade) + _lie_words(figures)
-    left = [figures[f"{Setting(BEST, MEDIAN, share).name}.slippery.worst_left_road"] for share in (0.0, 0.5, 1.0)]
-    text += (
-        f"On slippery road {per_cent_words(left[0])} of the vehicles leave it where nobody obeys, "
+    left = [
+        _figure(figures, f"{Setting(BEST, HELD, share).name}.slippery.worst_left_road") for share in (0.0, 0.5, 1.0)
+    ]
+    text = (
+        _counted_words(results, grade)
+        + _found_words(figures, grade)
+        + _held_words(figures)
+        + _lie_words(figures)
+        + f"On slippery road {per_cent_words(left[0])} of the vehicles leave it where nobody obeys, "
         f"{per_cent_words(left[1])} where half do, {per_cent_words(left[2])} where all do."
     )
     return Verdict(Claim.NOT_CLAIMED, text)
+
+
+def _figure(figures: Mapping[str, float], name: str) -> float:
+    """Return a figure, NaN for a setting that a quick study leaves out."""
+    return figures.get(name, np.nan)
 
 
 def _counted_words(results: Mapping[SensorGrade, Result], grade: SensorGrade) -> str:
@@ -69,7 +83,7 @@ def _least_counted(figures: Mapping[str, float], teaching: str) -> float:
         for setting in SETTINGS
         if setting.teaching == teaching and setting.compliance_frac == 1.0
         for phase in PHASE_NAMES
-        if np.isfinite(value := figures[f"{setting.name}.{phase}.least_counted"])
+        if np.isfinite(value := _figure(figures, f"{setting.name}.{phase}.least_counted"))
     ]
     return min(known, default=np.nan)
 
@@ -77,13 +91,16 @@ def _least_counted(figures: Mapping[str, float], teaching: str) -> float:
 def _found_words(figures: Mapping[str, float], grade: SensorGrade) -> str:
     told = []
     for share in (0.5, NEARLY_ALL_FRAC, 1.0):
-        words = ", ".join(
-            _bias_words(figures, Setting(BEST, rule, share)) for rule in (MEDIAN, REFINED_CUT, LIKELIHOODS)
-        )
-        told.append(f"where {100.0 * share:.0f} % obey, {words}")
+        words = [
+            _bias_words(figures, setting)
+            for rule in (MEDIAN, HELD, HELD_CUT, REFINED_CUT, LIKELIHOODS)
+            if _is_driven(figures, setting := Setting(BEST, rule, share))
+        ]
+        told += [f"where {100.0 * share:.0f} % obey, {', '.join(words)}"] if words else []
     lags = {
-        rule: figures[f"{Setting(BEST, rule, 0.5).name}.slippery.worst_lag_s"] / 60.0
-        for rule in (MEDIAN, MEDIAN_CUT, REFINED_CUT, LIKELIHOODS)
+        rule: figures[name] / 60.0
+        for rule in (HELD, HELD_CUT, REFINED_CUT, LIKELIHOODS)
+        if (name := f"{Setting(BEST, rule, 0.5).name}.slippery.worst_lag_s") in figures
     }
     late = ", ".join(f"{lag:.0f} min ({rule})" if np.isfinite(lag) else f"never ({rule})" for rule, lag in lags.items())
     blind = abs(_worst(figures, Setting(BEST, MEDIAN, 1.0), "worst_bias")) > KNOWN_WITHIN_FRAC
@@ -100,6 +117,32 @@ def _found_words(figures: Mapping[str, float], grade: SensorGrade) -> str:
     )
 
 
+def _is_driven(figures: Mapping[str, float], setting: Setting) -> bool:
+    return f"{setting.name}.{PHASE_NAMES[0]}.worst_bias" in figures
+
+
+def _held_words(figures: Mapping[str, float]) -> str:
+    """Return what advice comes to where all obey, without holding it while the friction is unknown and with."""
+    slowest, fastest = (
+        {
+            rule: choose([_figure(figures, f"{Setting(BEST, rule, 1.0).name}.{phase}.{what}") for phase in PHASE_NAMES])
+            for rule in (MEDIAN, HELD, HELD_CUT)
+        }
+        for what, choose in (("slowest_advice", min), ("fastest_advice", max))
+    )
+    locked = slowest[MEDIAN] < LOCKED_BELOW_RATIO
+    freed = min(slowest[HELD], slowest[HELD_CUT]) >= LOCKED_BELOW_RATIO
+    safe = max(fastest[HELD], fastest[HELD_CUT]) <= 1.0 + CONFIRMS_ABOVE_FRAC
+    effect = ("gets out of it" if locked else "stays fast enough") if freed else "is still too slow"
+    return (
+        f"Where all obey, advice that takes every estimate for one falls to {slowest[MEDIAN]:.2f} of the right speed "
+        f"at worst{', locked in by its own slowness' if locked else ''}. Held while too few name a friction and raised "
+        f"step by step where vehicles show headroom, it {effect}: {slowest[HELD]:.2f} to {fastest[HELD]:.2f} of the "
+        f"right speed, {slowest[HELD_CUT]:.2f} to {fastest[HELD_CUT]:.2f} with windows cut at changes, "
+        f"{'never much' if safe else 'at times dangerously'} above it. "
+    )
+
+
 def _bias_words(figures: Mapping[str, float], setting: Setting) -> str:
     """Return what a unit claims wrongly, and how much of the time it claims nothing."""
     claimed, marked = _worst(figures, setting, "worst_claimed_bias"), _worst(figures, setting, "most_marked")
@@ -110,22 +153,13 @@ def _bias_words(figures: Mapping[str, float], setting: Setting) -> str:
 
 
 def _worst(figures: Mapping[str, float], setting: Setting, measure: str) -> float:
-    return farthest([figures[f"{setting.name}.{phase}.{measure}"] for phase in PHASE_NAMES])
+    return farthest([_figure(figures, f"{setting.name}.{phase}.{measure}") for phase in PHASE_NAMES])
 
 
 def _lie_words(figures: Mapping[str, float]) -> str:
     words = []
-    for teaching, rule in {(s.teaching, s.rule): None for s in SETTINGS if s.told_ratio != 1.0}:
-        claimed, advised = (
-            largest(
-                [
-                    figures[f"{s.name}.{phase}.{what}_towards_lie"]
-                    for s in _lies(teaching, rule)
-                    for phase in PHASE_NAMES
-                ]
-            )
-            for what in ("claimed", "advised")
-        )
+    for teaching, rule in {(s.teaching, s.rule): None for s in SETTINGS if _is_lie(s, figures)}:
+        claimed, advised = (_towards_lie(figures, teaching, rule, what) for what in ("claimed", "advised"))
         who = f"{teaching}, {rule}"
         moved = f"the unit's own advice moves {100.0 * advised:+.0f} % towards the lie"
         if not np.isfinite(claimed):
@@ -136,5 +170,10 @@ def _lie_words(figures: Mapping[str, float]) -> str:
     return f"An advice that all obey and that is wrong by 30 % on purpose, at worst: {'; '.join(words)}. "
 
 
-def _lies(teaching: str, rule: str) -> list[Setting]:
-    return [s for s in SETTINGS if s.told_ratio != 1.0 and (s.teaching, s.rule) == (teaching, rule)]
+def _is_lie(setting: Setting, figures: Mapping[str, float]) -> bool:
+    return setting.told_ratio != 1.0 and setting.compliance_frac == 1.0 and _is_driven(figures, setting)
+
+
+def _towards_lie(figures: Mapping[str, float], teaching: str, rule: str, what: str) -> float:
+    lies = [Setting(teaching, rule, 1.0, ratio) for ratio in WRONG_RATIOS]
+    return largest([_figure(figures, f"{s.name}.{phase}.{what}_towards_lie") for s in lies for phase in PHASE_NAMES])

@@ -18,9 +18,12 @@ from training.study.generalise import loop_model
 from training.study.generalise.loop_cases import (
     BEST,
     BOXED,
+    HELD,
+    HELD_CUT,
     LIKELIHOODS,
     MEDIAN,
     PHASE_NAMES,
+    QUICK_SETTINGS,
     SETTINGS,
     TEACHINGS,
     Setting,
@@ -76,7 +79,7 @@ def result():
 
 
 def test_every_setting_is_measured_in_every_phase(result):
-    for setting in SETTINGS:
+    for setting in QUICK_SETTINGS:
         for phase in PHASE_NAMES:
             assert 0.0 <= result.figures[f"{setting.name}.{phase}.worst_left_road"] <= 1.0
     assert all(len(row) == len(table.columns) for table in result.tables for row in table.rows)
@@ -90,7 +93,7 @@ def told(result, changed):
 
 
 def test_the_verdict_says_whether_a_lie_comes_true(result):
-    lies = [s for s in SETTINGS if s.told_ratio != 1.0]
+    lies = [s for s in QUICK_SETTINGS if s.told_ratio != 1.0]
     for drift, words in ((0.5, "confirms itself (+50 % towards"), (0.0, "does not confirm itself (+0 % towards")):
         changed = {f"{s.name}.{phase}.claimed_towards_lie": drift for s in lies for phase in PHASE_NAMES}
         said = told(result, changed)
@@ -104,7 +107,7 @@ def test_the_verdict_says_whether_obedient_drivers_count(result):
     for share, words in ((1.0, "they stay inside the envelope"), (0.5, "still too few")):
         changed = {
             f"{s.name}.{phase}.least_counted": share
-            for s in SETTINGS
+            for s in QUICK_SETTINGS
             if s.teaching in {BEST, BOXED}
             for phase in PHASE_NAMES
         }
@@ -115,6 +118,39 @@ def test_the_verdict_says_when_units_are_blind(result):
     blind = Setting(BEST, MEDIAN, 1.0).name
     for bias, words in ((1.0, "the less the unit knows"), (0.01, "still use enough of the grip")):
         assert words in told(result, {f"{blind}.{phase}.worst_bias": bias for phase in PHASE_NAMES}).text
-    late = Setting(BEST, LIKELIHOODS, 0.5).name
-    assert f"never ({LIKELIHOODS})" in told(result, {f"{late}.slippery.worst_lag_s": np.nan}).text
-    assert f"20 min ({LIKELIHOODS})" in told(result, {f"{late}.slippery.worst_lag_s": 1200.0}).text
+    late = Setting(BEST, HELD_CUT, 0.5).name
+    assert f"never ({HELD_CUT})" in told(result, {f"{late}.slippery.worst_lag_s": np.nan}).text
+    assert f"20 min ({HELD_CUT})" in told(result, {f"{late}.slippery.worst_lag_s": 1200.0}).text
+
+
+def test_the_verdict_says_whether_advice_is_locked_in_and_whether_holding_it_helps(result):
+    def with_advice(median, held, *, fastest=1.0):
+        changed: dict[str, float] = {}
+        for rule, slowest in ((MEDIAN, median), (HELD, held), (HELD_CUT, held)):
+            for phase in PHASE_NAMES:
+                name = f"{Setting(BEST, rule, 1.0).name}.{phase}"
+                changed |= {f"{name}.slowest_advice": slowest, f"{name}.fastest_advice": fastest}
+        return told(result, changed).text
+
+    assert "falls to 0.50 of the right speed at worst, locked in by its own slowness" in with_advice(0.5, 0.9)
+    assert "it gets out of it: 0.90 to 1.00" in with_advice(0.5, 0.9)
+    assert "it is still too slow" in with_advice(0.5, 0.6)
+    assert "it stays fast enough" in with_advice(0.9, 0.9)
+    assert "never much above it" in with_advice(0.5, 0.9)
+    assert "at times dangerously above it" in with_advice(0.5, 0.9, fastest=1.3)
+
+
+def test_a_quick_study_drives_settings_of_the_whole_one():
+    assert set(QUICK_SETTINGS) <= set(SETTINGS)
+    assert len(set(SETTINGS)) == len(SETTINGS)
+    for settings in (QUICK_SETTINGS, SETTINGS):
+        assert {s.right for s in settings} <= set(settings)
+    assert Setting(BEST, LIKELIHOODS, 1.0) in SETTINGS
+
+
+def test_the_unit_as_it_is_has_a_line_for_each_road_and_compliance(result):
+    table = result.tables[0]
+    assert table.title == "A road side unit as it is"
+    assert {row[:2] for row in table.rows} == {
+        (rule, share) for rule in (HELD, HELD_CUT) for share in (0.0, 50.0, 100.0)
+    }

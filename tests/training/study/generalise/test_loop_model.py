@@ -20,6 +20,7 @@ from training.study.generalise.loop_model import (
     Teaching,
     gathered,
     loop_model,
+    loop_models,
     strange,
     what_is_taught,
 )
@@ -92,3 +93,12 @@ def test_a_model_says_what_its_regressors_say_whatever_else_comes_with_it(desk):
     assert all(one.mu_low is not None and one.mu is not None and one.mu_low < one.mu for one in said)
     assert model.manifest.feature_names == PAPER_TABLE.names
     assert len(NEWEST_TABLE) > len(PAPER_TABLE)
+
+
+def test_models_that_only_differ_by_their_envelope_are_taught_once(desk):
+    whole, boxed = Teaching("whole", SMALL, USUAL_SETS), Teaching("boxed", SMALL, USUAL_SETS, in_a_box=True)
+    models = loop_models(desk, GRADE, (whole, boxed))
+    assert models["boxed"].friction is models["whole"].friction
+    assert models["whole"].manifest.ordinary is not None
+    assert models["boxed"].manifest == replace(models["whole"].manifest, ordinary=None)
+    assert loop_models(desk, GRADE, (boxed,))["boxed"].manifest.ordinary is None
