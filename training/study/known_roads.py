@@ -24,7 +24,7 @@ def global_estimates(bench: Workbench, grade: SensorGrade, recipe: Recipe) -> Fl
     def work() -> dict[str, FloatArray]:
         split = paper_split(bench, grade)
         rows = split.train_rows
-        learned = learner(bench, recipe)(split.features(recipe.features, rows), split.label_mu(rows))
+        learned = learner(bench, recipe.learn)(split.features(recipe.features, rows), split.label_mu(rows))
         return {"estimate_mu": learned(split.features(recipe.features, split.test_rows))}
 
     return bench.remembered(f"held-out-{grade}-{recipe.key}-{bench.seed}", work)["estimate_mu"]
@@ -43,7 +43,7 @@ def local_estimates(bench: Workbench, grade: SensorGrade, recipe: Recipe) -> Flo
         estimate = np.full(len(split.test_rows), np.nan)
         for scenario in split.scenarios:
             rows = split.scenario_rows(split.train_rows, scenario)
-            learned = learner(bench, recipe)(split.features(recipe.features, rows), split.label_mu(rows))
+            learned = learner(bench, recipe.learn)(split.features(recipe.features, rows), split.label_mu(rows))
             mine = where[split.test_rows] == scenario
             estimate[mine] = learned(split.features(recipe.features, split.test_rows[mine]))
         return {"estimate_mu": estimate}

@@ -119,7 +119,7 @@ def test_rows_come_by_name_whatever_their_order():
 
 @pytest.mark.parametrize("recipe", [PAPER_RECIPE, BEST_RECIPE])
 def test_only_a_rough_answer_takes_coarser_bins(recipe):
-    usual, rough = (learner(Desk(quick=quick), recipe) for quick in (False, True))
+    usual, rough = (learner(Desk(quick=quick), recipe.learn) for quick in (False, True))
     assert usual is recipe.learn
     assert isinstance(usual, Boosted)
     assert isinstance(rough, Boosted)
@@ -128,8 +128,8 @@ def test_only_a_rough_answer_takes_coarser_bins(recipe):
 
 
 def test_a_learner_within_another_takes_coarser_bins_too():
-    rough = learner(Desk(quick=True), Recipe("few", BEST_RECIPE.features, BestByGain(BEST_RECIPE.learn, 20)))
-    assert rough == BestByGain(learner(Desk(quick=True), BEST_RECIPE), 20)
+    rough = learner(Desk(quick=True), BestByGain(BEST_RECIPE.learn, 20))
+    assert rough == BestByGain(learner(Desk(quick=True), BEST_RECIPE.learn), 20)
 
 
 def test_only_the_first_rows_are_judged_if_some_are_asked_for():

@@ -265,7 +265,7 @@ def _estimates(bench: Workbench, grade: SensorGrade, recipe: Recipe) -> FloatArr
         rows = rows_by_name(runs)
         fold = road_folds([runs.section_id[i] for i in rows.tolist()], seed=bench.seed) % JUDGED_FOLDS_COUNT
         features, label = runs.columns(recipe.features)[rows], runs.labels["label_mu"][rows]
-        return {"mu": estimates_by_strangers(learner(bench, recipe), features, label, fold=fold)}
+        return {"mu": estimates_by_strangers(learner(bench, recipe.learn), features, label, fold=fold)}
 
     return bench.remembered(f"features-{grade}-{recipe.key}-{bench.seed}", work)["mu"]
 

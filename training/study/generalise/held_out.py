@@ -15,7 +15,8 @@ import numpy as np
 from roadgrip.units import BoolArray, FloatArray
 from training.accuracy import mape_ratio
 from training.dataset import Runs
-from training.error_model import LEAST_MU, grow_error_trees, log_error_ratio
+from training.error_model import ERROR_FIT, LEAST_MU, grow_error_trees, log_error_ratio
+from training.fit_parameters import FitParameters
 from training.regressor import RowIndices, estimate_mu
 from training.study.chapter import Arrays, Workbench
 from training.study.folds import (
@@ -51,11 +52,17 @@ UTILISATION_BANDS: tuple[tuple[float, float], ...] = (
 
 @dataclass(frozen=True, slots=True)
 class ErrorTrees:
-    """The learner of the error to expect: the trees that bundles have for it, one thread each."""
+    """The learner of the error to expect: the trees that bundles have for it, one thread each.
+
+    Attributes:
+        parameters: How the trees are grown.
+    """
+
+    parameters: FitParameters = ERROR_FIT
 
     def __call__(self, features: FloatArray, error_ratio: FloatArray) -> Estimator:
         """Return what the trees make of features: the magnitude of the error on the logarithm, positive."""
-        booster = grow_error_trees(features, error_ratio, threads_count=1)
+        booster = grow_error_trees(features, error_ratio, self.parameters, threads_count=1)
         return lambda rows: estimate_mu(booster, rows, threads_count=1)
 
 
@@ -164,9 +171,11 @@ def held_out(bench: Workbench, grade: SensorGrade, recipe: Recipe, *, data_set: 
         features, label = runs.columns(recipe.features)[rows], runs.labels["label_mu"][rows]
         fold = road_folds([runs.section_id[i] for i in rows.tolist()], seed=bench.seed)
         bench.report(f"unseen roads, {recipe.name}, {grade}", 0, 2)
-        mu = estimates_by_strangers(learner(bench, recipe), features, label, fold=fold)
+        mu = estimates_by_strangers(learner(bench, recipe.learn), features, label, fold=fold)
         bench.report(f"unseen roads, {recipe.name}, {grade}", 1, 2)
-        expected = estimates_by_strangers(EXPECTED_ERROR, features, log_error_ratio(mu, label), fold=fold)
+        expected = estimates_by_strangers(
+            learner(bench, EXPECTED_ERROR), features, log_error_ratio(mu, label), fold=fold
+        )
         return _arrays(rows, fold, mu, expected)
 
     found = bench.remembered(f"held-out-{data_set}-{grade}-{recipe.key}-{bench.seed}", work)
@@ -190,8 +199,8 @@ def on_other_roads(bench: Workbench, grade: SensorGrade, recipe: Recipe, *, data
         features, there = learned.runs.columns(recipe.features)[learned.rows], judged.columns(recipe.features)
         if len(rows) == 0:
             return _arrays(rows, rows, np.empty(0), np.empty(0))
-        mu = learner(bench, recipe)(features, learned.label_mu)(there[rows])
-        expected = EXPECTED_ERROR(features, np.abs(learned.log_ratio))(there[rows])
+        mu = learner(bench, recipe.learn)(features, learned.label_mu)(there[rows])
+        expected = learner(bench, EXPECTED_ERROR)(features, np.abs(learned.log_ratio))(there[rows])
         return _arrays(rows, np.zeros_like(rows), mu, expected)
 
     found = bench.remembered(f"other-roads-{data_set}-{grade}-{recipe.key}-{bench.seed}", work)
@@ -208,7 +217,9 @@ def on_known_roads(bench: Workbench, grade: SensorGrade, recipe: Recipe) -> Held
         features, miss = runs.columns(recipe.features)[rows], log_error_ratio(mu, runs.labels["label_mu"][rows])
         # Dealt as the estimates are.
         fold = fold_numbers(len(rows), FOLDS_COUNT, seed=bench.seed)
-        return _arrays(rows, fold, mu, estimates_by_strangers(EXPECTED_ERROR, features, miss, fold=fold))
+        return _arrays(
+            rows, fold, mu, estimates_by_strangers(learner(bench, EXPECTED_ERROR), features, miss, fold=fold)
+        )
 
     found = bench.remembered(f"known-roads-{grade}-{recipe.key}-{bench.seed}", work)
     return _held_out(bench.runs(PAPER_SET, grade), found)
@@ -226,7 +237,7 @@ def left_out_roads(bench: Workbench, grade: SensorGrade, recipe: Recipe) -> Held
         rows = rows_by_name(runs)
         fold = np.unique(np.array(runs.section_id)[rows], return_inverse=True)[1]
         features, label = runs.columns(recipe.features)[rows], runs.labels["label_mu"][rows]
-        mu = estimates_by_strangers(learner(bench, recipe), features, label, fold=fold)
+        mu = estimates_by_strangers(learner(bench, recipe.learn), features, label, fold=fold)
         return _arrays(rows, fold, mu, np.full(len(rows), np.nan))
 
     found = bench.remembered(f"left-out-{grade}-{recipe.key}-{bench.seed}", work)

@@ -124,7 +124,7 @@ def _curve(bench: Workbench, grade: SensorGrade, recipe: Recipe) -> Arrays:
 
         def learn(number: int) -> None:
             learned = np.isin(road, hands[number][1])
-            mu = learner(bench, recipe)(features[learned], label[learned])(features[judged])
+            mu = learner(bench, recipe.learn)(features[learned], label[learned])(features[judged])
             found[number] = mape_ratio(label[judged], mu)
 
         side_by_side(

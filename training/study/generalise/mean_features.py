@@ -23,6 +23,8 @@ LEAST_DRIVES_COUNT = 7
 def smoothed_features(features: FloatArray, *, label_mu: FloatArray, roads: Sequence[str]) -> FloatArray:
     """Return features as parabolas of ln friction, road by road; NaN on roads with too few drives. (n, columns)
 
+    No parabola leaves the range of the road's drives.
+
     Args:
         features: (n, columns)
         label_mu: The friction that each drive found. (n,)
@@ -35,7 +37,9 @@ def smoothed_features(features: FloatArray, *, label_mu: FloatArray, roads: Sequ
         if len(rows) >= LEAST_DRIVES_COUNT:
             log_mu = np.log(label_mu[rows])
             powers = np.vander(log_mu - log_mu.mean(), DEGREE_COUNT + 1)
-            smoothed[rows] = powers @ np.linalg.lstsq(powers, features[rows], rcond=None)[0]
+            parabolas = powers @ np.linalg.lstsq(powers, features[rows], rcond=None)[0]
+            # A wild drive bends a parabola to where no feature can be, such as to a friction below zero.
+            smoothed[rows] = np.clip(parabolas, features[rows].min(axis=0), features[rows].max(axis=0))
     return smoothed
 
 

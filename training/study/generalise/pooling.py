@@ -49,9 +49,9 @@ MU_NEW = 0.5
 SIMULATED_SIZES_COUNT = (1, 2, 5, 10, 20, 50, 100)
 DRIVEN_SIZES_COUNT = (1, 5, 10, 20, 50, 100)
 WINDOWS_COUNT = 2000
-QUICK_WINDOWS_COUNT = 200
+QUICK_WINDOWS_COUNT = 60
 BATCHES_COUNT = 300
-QUICK_BATCHES_COUNT = 40
+QUICK_BATCHES_COUNT = 12
 CONFIGS: Mapping[str, Recipe] = {"paper_config": PAPER_RECIPE, "best": BEST_RECIPE}
 """The regressors whose estimates are pooled, by the name the study's headlines give them."""
 

@@ -58,7 +58,9 @@ from vehicle_client.simulator.plan import SensorGrade
 BATCHES_SET = "random-roads-batches"
 SIZES_COUNT = (10, 50)
 BATCHES_COUNT = 120
-QUICK_BATCHES_COUNT = 40
+QUICK_BATCHES_COUNT = 12
+HELD_BATCHES_COUNT = 40
+"""A share over all cells needs no more of each."""
 CONFIDENCE_FRAC = 0.95
 PROFILE_COLUMNS = tuple(f"grip_profile_{100 * mu:.0f}_ratio" for mu in PROFILE_FRICTIONS_MU)
 GRID_MU: FloatArray = np.array(PROFILE_FRICTIONS_MU)
@@ -139,7 +141,7 @@ def compute(bench: Workbench, grade: SensorGrade) -> Result:
         figures[f"{config}.temper_exponent"] = temper_exponent
         for size in SIZES_COUNT:
             figures[f"{config}.half_width.{size}.held_frac"] = half_width_held_frac(
-                there, cells, size_count=size, batches_count=QUICK_BATCHES_COUNT, seed=bench.seed
+                there, cells, size_count=size, batches_count=min(count, HELD_BATCHES_COUNT), seed=bench.seed
             )
         for (name, size), errors in found.items():
             bias = np.abs([one.bias_ratio for one in errors])
@@ -261,7 +263,7 @@ def _mean_features_rule(
     features = judged.columns(recipe.features)
     bench.report(f"regressor for mean features, {recipe.name}, {grade}", 0, 1)
     estimate_mu = learned_for_windows(
-        learner(bench, recipe),
+        learner(bench, recipe.learn),
         learned.runs.columns(recipe.features)[learned.rows],
         label_mu=learned.label_mu,
         roads=learned.roads,

@@ -102,7 +102,7 @@ def estimated(bench: Workbench, grade: SensorGrade, name: str) -> Estimated:
 
         def judge(telling: Telling, number: int) -> None:
             out = fold == number
-            estimator = learner(bench, BEST_RECIPE)(told[telling][~out], label[~out])
+            estimator = learner(bench, BEST_RECIPE.learn)(told[telling][~out], label[~out])
             found[key_of(telling, LIKE)][out] = estimator(told[telling][out])
             if telling is Telling.MATCHED:
                 for other, features in told.items():
@@ -111,7 +111,7 @@ def estimated(bench: Workbench, grade: SensorGrade, name: str) -> Estimated:
         def judge_by(recipe_name: str, number: int) -> None:
             out, recipe = fold == number, BASELINES[recipe_name]
             features = runs.columns(recipe.features)[exact]
-            found[recipe_name][out] = learner(bench, recipe)(features[~out], label[~out])(features[out])
+            found[recipe_name][out] = learner(bench, recipe.learn)(features[~out], label[~out])(features[out])
 
         found |= {recipe_name: np.full(len(label), np.nan) for recipe_name in BASELINES}
         folds = np.unique(fold).tolist()

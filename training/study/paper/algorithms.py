@@ -29,7 +29,7 @@ from training.study.wording import by_grade, leading_grade, per_cent_words
 from vehicle_client.simulator.plan import SensorGrade
 
 FEW_ROWS_COUNT = 10_000
-QUICK_FEW_ROWS_COUNT = 1000
+QUICK_FEW_ROWS_COUNT = 400
 BOOSTED = "XGBoost, boosted"
 FOREST = "XGBoost, random forest"
 NETWORK = "MLP"

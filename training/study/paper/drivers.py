@@ -137,7 +137,7 @@ def _estimates(bench: Workbench, grade: SensorGrade, name: str, recipe: Recipe) 
         home, runs = bench.runs(PAPER_SET, grade), bench.runs(name, grade)
         rows, learned = rows_by_name(runs), strangers(home, runs)
         features = runs.columns(recipe.features)[rows]
-        learn = learner(bench, recipe)
+        learn = learner(bench, recipe.learn)
         elsewhere = learn(home.columns(recipe.features)[learned], home.labels["label_mu"][learned])
         judged = cross_validated(learn, features, runs.labels["label_mu"][rows], seed=bench.seed)
         return {SHORT[ELSEWHERE]: elsewhere(features), SHORT[THERE]: judged.estimate_mu}

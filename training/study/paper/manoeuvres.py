@@ -116,7 +116,7 @@ def _judged(bench: Workbench, grade: SensorGrade, recipe: Recipe, extreme: Runs)
     def work() -> dict[str, FloatArray]:
         split = paper_split(bench, grade)
         train = split.train_rows
-        learned = learner(bench, recipe)(split.features(recipe.features, train), split.label_mu(train))
+        learned = learner(bench, recipe.learn)(split.features(recipe.features, train), split.label_mu(train))
         return {"estimate_mu": learned(extreme.columns(recipe.features)[rows])}
 
     kept = bench.remembered(f"manoeuvres-{grade}-{recipe.key}-{bench.seed}", work)

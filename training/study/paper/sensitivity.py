@@ -177,7 +177,7 @@ def _judged(bench: Workbench, grade: SensorGrade, setting: str, recipe: Recipe) 
     features, label_mu = chosen.columns(recipe.features)[rows], chosen.labels["label_mu"][rows]
 
     def work() -> dict[str, FloatArray]:
-        judged = cross_validated(learner(bench, recipe), features, label_mu, seed=bench.seed)
+        judged = cross_validated(learner(bench, recipe.learn), features, label_mu, seed=bench.seed)
         return {"estimate_mu": judged.estimate_mu}
 
     name = f"amplitudes-{setting}-{count}-{grade}-{recipe.key}-{bench.seed}"

@@ -21,6 +21,15 @@ def test_parabolas_stay_and_noise_goes(rng):
     assert np.std(smoothed - clean) < 0.6 * np.std(noisy - clean)
 
 
+def test_a_wild_drive_bends_no_parabola_out_of_the_range_of_its_road(rng):
+    roads, label_mu, clean, _ = roads_of(rng, 1, 11, noise=0.0)
+    wild = clean.copy()
+    wild[5] *= 30.0
+    smoothed = smoothed_features(wild, label_mu=label_mu, roads=roads)
+    assert (smoothed >= wild.min(axis=0)).all()
+    assert (smoothed <= wild.max(axis=0)).all()
+
+
 def test_roads_with_few_drives_are_left_out(rng):
     roads, label_mu, clean, _ = roads_of(rng, 2, 6, noise=0.0)
     assert np.isnan(smoothed_features(clean, label_mu=label_mu, roads=roads)).all()
