@@ -124,9 +124,14 @@ def errors_of_cell(cell: Cell, rule: Rule, *, size_count: int, batches_count: in
         batches_count: Batches to draw.
         seed: Of the draws.
     """
+    answers_mu = answers_of_cell(cell, rule, size_count=size_count, batches_count=batches_count, seed=seed)
+    return errors_of_answers(cell, answers_mu, size_count=size_count)
+
+
+def answers_of_cell(cell: Cell, rule: Rule, *, size_count: int, batches_count: int, seed: int) -> FloatArray:
+    """Return what a rule says of the batches of a cell; arguments as for `errors_of_cell`. (batches_count,)"""
     batches = batches_of_cell(cell, size_count=size_count, batches_count=batches_count, seed=seed)
-    answers = np.array([rule(batch) for batch in batches], dtype=np.float64)
-    return errors_of_answers(cell, answers, size_count=size_count)
+    return np.array([rule(batch) for batch in batches], dtype=np.float64)
 
 
 def batches_of_cell(cell: Cell, *, size_count: int, batches_count: int, seed: int) -> RowBatches:

@@ -9,13 +9,11 @@ from functools import partial
 import numpy as np
 
 from roadgrip.bundle import Conformal
-from roadgrip.units import FloatArray
 from training.regressor import RowIndices
 from training.study.batches import (
-    Cell,
     CellErrors,
     Rule,
-    batches_of_cell,
+    answers_of_cell,
     cells_of,
     errors_of_answers,
     published_rule,
@@ -196,25 +194,21 @@ def _driven(
     found = {}
     for done, size in enumerate(DRIVEN_SIZES_COUNT):
         bench.report(f"batches, {what}, {grade}", done, len(DRIVEN_SIZES_COUNT))
-        answers = {name: _answers(bench, cells, rule, size) for name, rule in rules.items()}
+        answers = {
+            name: [
+                answers_of_cell(cell, rule, size_count=size, batches_count=_batches_count(bench), seed=bench.seed)
+                for cell in cells
+            ]
+            for name, rule in rules.items()
+        }
         answers[MEDIAN_THERE] = [
             np.where(np.isfinite(careful), median, np.nan)
             for careful, median in zip(answers[BOUNDED], answers[MEDIAN], strict=True)
         ]
-        for name, of_cells in answers.items():
-            pairs = zip(cells, of_cells, strict=True)
+        for name, lines in answers.items():
+            pairs = zip(cells, lines, strict=True)
             found[name, size] = judged_of(tuple(errors_of_answers(cell, mu, size_count=size) for cell, mu in pairs))
     return found
-
-
-def _answers(bench: Workbench, cells: tuple[Cell, ...], rule: Rule, size_count: int) -> list[FloatArray]:
-    """Return what a rule answers for the batches of every cell."""
-    count = _batches_count(bench)
-    return [
-        np.array([rule(batch) for batch in batches])
-        for cell in cells
-        for batches in (batches_of_cell(cell, size_count=size_count, batches_count=count, seed=bench.seed),)
-    ]
 
 
 def _windows_count(bench: Workbench) -> int:

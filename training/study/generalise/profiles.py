@@ -134,10 +134,13 @@ def compute(bench: Workbench, grade: SensorGrade) -> Result:
         cells = cells_of(judged.section_id, judged.labels["base_friction_mu"], rows=there.rows)
         sizes |= {"drives learned from": len(learned), "drives judged": len(there), "cells": len(cells)}
         found: Errors = {}
-        for done, (name, rule) in enumerate(rules.items()):
-            bench.report(f"many vehicles on unseen roads, {recipe.name}, {grade}", done, len(rules))
-            for size in SIZES_COUNT:
-                found[name, size] = judged_cells(cells, rule, size_count=size, batches_count=count, seed=bench.seed)
+        for size in SIZES_COUNT:
+            bench.report(f"{size} vehicles on unseen roads, {recipe.name}, {grade}", 0, 1)
+            batches = [batches_of_cell(cell, size_count=size, batches_count=count, seed=bench.seed) for cell in cells]
+            rows = np.concatenate(batches)
+            answers = {name: rule(rows) for name, rule in rules.items()}
+            answers[BOTH] = np.sqrt(answers[LIKELIHOOD] * answers[MEAN_FEATURES])
+            found |= {(name, size): errors_of_cells(cells, mu, size_count=size) for name, mu in answers.items()}
         figures[f"{config}.temper_exponent"] = temper_exponent
         for size in SIZES_COUNT:
             figures[f"{config}.half_width.{size}.held_frac"] = half_width_held_frac(
@@ -208,28 +211,26 @@ def rules_on(
     by_estimate_values = evidence_of_estimates(estimates, new_mu=new_mu)
     evidence = Evidence(there.of_all_runs(profiles), there.of_all_runs(by_estimate_values), new_mu)
     passages = there.passages
-    likelihood = evidence.summed(evidence.estimate_values)
-    mean_features = _mean_features_rule(bench, grade, recipe, learned, runs)
     return {
         FLOOR: _one_by_one(published_rule(runs.labels["label_mu"])),
         **{name: _one_by_one(rule_on_rows(RULES[name], passages)) for name in (MEDIAN, WEIGHTED, REFINED)},
         PROFILES: evidence.summed(evidence.profile_values),
-        LIKELIHOOD: likelihood,
+        LIKELIHOOD: evidence.summed(evidence.estimate_values),
         MIXTURE: evidence.summed(evidence.sharper),
-        MEAN_FEATURES: mean_features,
-        BOTH: lambda batches: np.sqrt(likelihood(batches) * mean_features(batches)),
+        MEAN_FEATURES: _mean_features_rule(bench, grade, recipe, learned, runs),
     }
 
 
-def judged_cells(
-    cells: tuple[Cell, ...], rule: BatchRule, *, size_count: int, batches_count: int, seed: int
-) -> tuple[CellErrors, ...]:
-    """Return how a rule does on each cell, on the batches that every rule is judged on; all cells asked at once."""
-    batches = [batches_of_cell(cell, size_count=size_count, batches_count=batches_count, seed=seed) for cell in cells]
-    answers = rule(np.concatenate(batches)).reshape(len(cells), batches_count)
-    return tuple(
-        errors_of_answers(cell, line, size_count=size_count) for cell, line in zip(cells, answers, strict=True)
-    )
+def errors_of_cells(cells: tuple[Cell, ...], answers_mu: FloatArray, *, size_count: int) -> tuple[CellErrors, ...]:
+    """Return how far answers are from the truth of each cell.
+
+    Args:
+        cells: Where the batches were drawn.
+        answers_mu: Midpoints, those of a cell's batches after those of the cell before. (cells * batches,)
+        size_count: Vehicles in a batch.
+    """
+    lines = answers_mu.reshape(len(cells), -1)
+    return tuple(errors_of_answers(cell, line, size_count=size_count) for cell, line in zip(cells, lines, strict=True))
 
 
 def half_width_held_frac(

@@ -16,11 +16,10 @@ from training.study.paper_features import (
     PAPER_FEATURES,
     QUANTILES,
     SHAPES,
-    SPEED_FEATURES,
     of_statistics,
 )
 from training.study.picture import Axis, Boxes
-from training.study.recipes import PAPER_RECIPE
+from training.study.recipes import PAPER_RECIPE, SPEED_ONLY_RECIPE
 from training.study.wording import leading_grade, per_cent_words
 from vehicle_client.simulator.plan import SensorGrade
 
@@ -37,19 +36,17 @@ def compute(bench: Workbench, grade: SensorGrade) -> Result:
         QUANTS: of_statistics(PAPER_FEATURES, QUANTILES),
         CHOSEN: selected_features(bench, grade),
         SHAPE: of_statistics(PAPER_FEATURES, SHAPES),
-        SPEED: SPEED_FEATURES,
     }
-    found = {
-        name: recipe_fold_mape_ratio(bench, grade, replace(PAPER_RECIPE, features=features))
-        for name, features in variants.items()
-    }
+    recipes = {name: replace(PAPER_RECIPE, features=features) for name, features in variants.items()}
+    recipes[SPEED] = SPEED_ONLY_RECIPE
+    found = {name: recipe_fold_mape_ratio(bench, grade, recipe) for name, recipe in recipes.items()}
     return Result(
         figures={f"median_mape.{name}": float(np.median(values)) for name, values in found.items()},
         sizes={
             "rows": len(paper_split(bench, grade).train_rows),
             "folds": FOLDS_COUNT,
             "seed": bench.seed,
-            **{f"features, {name}": len(features) for name, features in variants.items()},
+            **{f"features, {name}": len(recipe.features) for name, recipe in recipes.items()},
         },
         tables=(
             Table(
@@ -58,12 +55,12 @@ def compute(bench: Workbench, grade: SensorGrade) -> Result:
                 tuple(
                     (
                         name,
-                        len(features),
+                        len(recipe.features),
                         per_cent(np.median(found[name])),
                         per_cent(found[name].min()),
                         per_cent(found[name].max()),
                     )
-                    for name, features in variants.items()
+                    for name, recipe in recipes.items()
                 ),
                 note="Of the five signals and the two profiles of the road; the section's length only in `all`. "
                 "Smallest, middle and largest value count as quantiles.",
