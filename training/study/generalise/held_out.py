@@ -30,7 +30,6 @@ from training.study.folds import (
     road_folds,
     rows_by_name,
 )
-from training.study.generalise.passages import Passages
 from training.study.recipes import Estimator, Learner, Recipe
 from vehicle_client.simulator.plan import SensorGrade
 
@@ -130,15 +129,6 @@ class HeldOut:
         whole = np.full((len(self.runs), *values.shape[1:]), np.nan)
         whole[self.rows] = values
         return whole
-
-    @property
-    def passages(self) -> Passages:
-        """What they say, for every run of the data set; none is taken for a bound. (runs,)"""
-        return Passages(
-            mu=self.of_all_runs(np.maximum(self.mu, LEAST_MU)),
-            expected_error_ratio=self.of_all_runs(self.expected_error_ratio),
-            at_least=np.zeros(len(self.runs), dtype=np.bool_),
-        )
 
     def column(self, name: str) -> FloatArray:
         """Return a feature of each. (m,)"""

@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 
 from roadgrip.bundle import Conformal
+from training.error_model import LEAST_MU
 from training.regressor import RowIndices
 from training.study.batches import (
     CellErrors,
@@ -23,7 +24,7 @@ from training.study.chapter import Arrays, Chapter, Claim, Result, Table, Verdic
 from training.study.chapter import Cell as TableCell
 from training.study.folds import PAPER_SET, RANDOM_ROADS_SET
 from training.study.generalise.held_out import HeldOut, held_out, on_known_roads, on_other_roads
-from training.study.generalise.passages import Traffic, drawn_passages
+from training.study.generalise.passages import Passages, Traffic, drawn_passages
 from training.study.generalise.rules import (
     KAPLAN_MEIER,
     LOOSE,
@@ -170,6 +171,15 @@ def held_frac(plain: bool, *, windows_count: int, seed: int) -> float:  # noqa: 
     return float(np.mean(held))
 
 
+def passages_of(judged: HeldOut) -> Passages:
+    """Return what passages say, one for every run of their data set; none is taken for a bound. (runs,)"""
+    return Passages(
+        mu=judged.of_all_runs(np.maximum(judged.mu, LEAST_MU)),
+        expected_error_ratio=judged.of_all_runs(judged.expected_error_ratio),
+        at_least=np.zeros(len(judged.runs), dtype=np.bool_),
+    )
+
+
 def rules_on(judged: HeldOut, meant: Conformal) -> dict[str, Rule]:
     """Return the rules that are compared on driven data, each for the same rows of its table.
 
@@ -177,7 +187,7 @@ def rules_on(judged: HeldOut, meant: Conformal) -> dict[str, Rule]:
         judged: The data, and what strangers made of it.
         meant: What is made of the errors to expect.
     """
-    plain = judged.passages
+    plain = passages_of(judged)
     return {
         FLOOR: published_rule(judged.runs.labels["label_mu"]),
         **{name: rule_on_rows(RULES[name], plain) for name in JUDGED},

@@ -43,7 +43,7 @@ from training.study.generalise.held_out import (
     on_other_roads,
 )
 from training.study.generalise.mean_features import learned_for_windows
-from training.study.generalise.pooling import CONFIGS
+from training.study.generalise.pooling import CONFIGS, passages_of
 from training.study.generalise.rules import MEDIAN, POLICY, REFINED, RULES, WEIGHTED, interval_of, rule_on_rows
 from training.study.generalise.shrinkage import (
     evidence_of_estimates,
@@ -210,7 +210,7 @@ def rules_on(
     )
     by_estimate_values = evidence_of_estimates(estimates, new_mu=new_mu)
     evidence = Evidence(there.of_all_runs(profiles), there.of_all_runs(by_estimate_values), new_mu)
-    passages = there.passages
+    passages = passages_of(there)
     return {
         FLOOR: _one_by_one(published_rule(runs.labels["label_mu"])),
         **{name: _one_by_one(rule_on_rows(RULES[name], passages)) for name in (MEDIAN, WEIGHTED, REFINED)},
@@ -245,7 +245,7 @@ def half_width_held_frac(
         batches_count: Batches of each cell.
         seed: Of the draws.
     """
-    passages = there.passages
+    passages = passages_of(there)
     held = []
     for cell in cells:
         for batch in batches_of_cell(cell, size_count=size_count, batches_count=batches_count, seed=seed):

@@ -103,14 +103,12 @@ def test_errors_to_expect_are_positive_and_follow_what_they_are_learned_from(rng
     assert np.corrcoef(expected, size)[0, 1] > 0.9
 
 
-def test_every_run_of_the_data_set_has_a_passage_or_nothing():
+def test_every_run_of_the_data_set_has_a_value_or_nothing():
     found = held_out(road_desk(), IDEAL, SMALL_BEST)
-    said = found.passages
-    assert np.array_equal(np.isfinite(said.mu), found.runs.usable)
-    assert said.rows(found.rows).mu.tolist() == found.mu.tolist()
-    assert not said.at_least.any()
-    lines = found.of_all_runs(np.column_stack([found.mu, found.mu]))
-    assert np.array_equal(lines[:, 1], said.mu, equal_nan=True)
+    mu = found.of_all_runs(found.mu)
+    assert np.array_equal(np.isfinite(mu), found.runs.usable)
+    assert mu[found.rows].tolist() == found.mu.tolist()
+    assert np.array_equal(found.of_all_runs(np.column_stack([found.mu, found.mu]))[:, 1], mu, equal_nan=True)
 
 
 def test_a_part_keeps_what_belongs_together():

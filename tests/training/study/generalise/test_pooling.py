@@ -36,6 +36,17 @@ def test_a_half_width_that_knows_of_shared_errors_holds_more_often():
     assert plain < 0.7
 
 
+def test_every_run_has_a_passage_or_nothing_and_none_is_a_bound():
+    runs = made_up_runs(40)
+    rows = np.flatnonzero(runs.usable)
+    judged = held_out.HeldOut(runs, rows, np.zeros_like(rows), np.full(len(rows), -0.1), np.full(len(rows), 0.05))
+    said = pooling.passages_of(judged)
+    assert np.array_equal(np.isfinite(said.mu), runs.usable)
+    assert (said.mu[rows] > 0.0).all()
+    assert said.expected_error_ratio[rows].tolist() == judged.expected_error_ratio.tolist()
+    assert not said.at_least.any()
+
+
 def test_what_is_not_answered_is_no_error():
     judged = pooling.judged_of((cell_errors(), cell_errors(answered_frac=0.0, road="silent")))
     assert (judged.worst.road, judged.mean_ratio, judged.answered_frac) == ("bend", 0.1, 0.5)
