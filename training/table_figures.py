@@ -7,7 +7,6 @@ from collections.abc import Mapping
 import numpy as np
 
 from roadgrip.bundle import Conformal, OrdinaryDriving
-from roadgrip.features import PAPER_TABLE
 from roadgrip.units import BoolArray, FloatArray
 from rsu_app.domain.envelope import is_strange_driving, is_strange_road
 from training.conformal import stated_nonconformity_ratio
@@ -74,8 +73,7 @@ def strange_figures(
         parts: Which belong to each part. Each (n,)
         among: Which are judged at all: those that the envelope had not seen. (n,)
     """
-    names = PAPER_TABLE.names
-    values = runs.columns(names)
+    names, values = runs.table.names, runs.features
     strange = is_strange_road(values, ordinary, names) | is_strange_driving(values, ordinary, names)
     return {
         f"strange_frac.{part}": float(strange[rows & among].mean())

@@ -23,10 +23,9 @@ from training.designs import PAPER_ROADS
 from training.error_model import LEAST_MU, grow_error_trees, log_error_ratio
 from training.fit_parameters import FitParameters
 from training.regressor import RowIndices, estimate_mu, grow_trees
-from training.study.envelopes import Ordinary, learn_whole_envelope
+from training.study.envelopes import Ordinary, driving_columns, learn_whole_envelope
 from training.study.folds import fold_numbers, side_by_side
 from training.study.generalise.doubt import best_threshold
-from training.study.paper_features import KINEMATIC_FEATURES
 from training.study.recipes import BEST_RECIPE, Boosted
 
 FOLDS_COUNT = 4
@@ -266,22 +265,25 @@ def calibrated(answers: Answers, labels: Mapping[str, FloatArray], *, rows: Bool
     )
 
 
-def ordinary_driving(drives: LearnedDrives, *, seed: int, without_fold: int | None = None) -> OrdinaryDriving:
-    """Return which roads and which driving are ordinary by the drives: the same for every table, as they share these.
+def ordinary_driving(
+    drives: LearnedDrives, *, seed: int, table: FeatureTable = PAPER_TABLE, without_fold: int | None = None
+) -> OrdinaryDriving:
+    """Return which roads and which driving are ordinary by the drives, for models of a table and of newer ones.
 
     Args:
         drives: What to learn from.
         seed: See `learn_whole_envelope`.
+        table: Whose features are asked; the newer, the better it tells a manoeuvre.
         without_fold: A fold to keep out, so that it can judge.
     """
-    names = PAPER_TABLE.names
+    names = table.names
     values, sections = drives.runs.columns(names), np.array(drives.runs.section_id)
     learned = np.ones(len(values), dtype=np.bool_) if without_fold is None else drives.fold != without_fold
     known, random = learned & drives.known, learned & ~drives.known
     roads: Sequence[str] = sections[random].tolist()
     return learn_whole_envelope(
         Ordinary(values[known], values[random], tuple(roads), names),
-        road_columns=[feature.name for feature in PAPER_TABLE.road],
-        driving_columns=KINEMATIC_FEATURES,
+        road_columns=[feature.name for feature in table.road],
+        driving_columns=driving_columns(table),
         seed=seed,
     )

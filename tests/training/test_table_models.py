@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from roadgrip.bundle import BundleManifest, Conformal
-from roadgrip.features import GRIP_TABLE, PAPER_TABLE
+from roadgrip.features import GRIP_TABLE, PAPER_TABLE, FeatureTable
 from rsu_app.adapters.inference import load_bundle
 from rsu_app.domain.judgement import judgement
 from tests.training.many_roads import runs_of_many_roads
@@ -173,7 +173,9 @@ def test_parts_are_parts_of_the_whole(models: list[GrownModel]) -> None:
     assert (np.sum(bands, axis=0) == parts["unseen_roads"]).all()
 
 
-def test_few_drives_on_known_roads_are_called_strange() -> None:
-    ordinary = ordinary_driving(DRIVES, seed=1, without_fold=0)
+@pytest.mark.parametrize("table", [PAPER_TABLE, GRIP_TABLE])
+def test_few_drives_on_known_roads_are_called_strange(table: FeatureTable) -> None:
+    ordinary = ordinary_driving(DRIVES, seed=1, table=table, without_fold=0)
+    assert set(ordinary.driving.columns) <= set(table.names)
     found = strange_figures(ordinary, DRIVES.runs, {"known": DRIVES.known}, among=DRIVES.fold == 0)
     assert found["strange_frac.known"] < 0.1

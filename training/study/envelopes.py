@@ -5,12 +5,15 @@ vehicles. Is the *driving* like that of ordinary drivers on any road? That is as
 
 The limits are set by drives that the envelope in question has not seen: of random roads by whole roads, so that the
 share of false flags that was asked for is that of the next road, not of the next car on a road that was learned.
+
+Its drives hold no manoeuvre. Its settings were chosen by other manoeuvres than any that it is judged by: by variants
+of three kinds for the fourth (`training.manoeuvres.draw_manoeuvre`), in the same manner for each.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from sklearn.mixture import GaussianMixture
@@ -18,19 +21,25 @@ from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from roadgrip.bundle import Envelope, OrdinaryDriving
 from roadgrip.envelope import DrivingEnvelope
+from roadgrip.features import STATISTICS, FeatureTable
 from roadgrip.units import FloatArray
 from rsu_app.domain.envelope import prepared, scaled_ratio, strangeness_level
 from training.bundling import ROUNDING_RATIO
+from training.study.mirror import Mirror, mirror_of
+from training.study.paper_features import statistic_of
 
-KINDS_COUNT = 4
-"""Kinds of ordinary driving: 2 do hardly worse, 6 and more learn their roads by heart."""
+KINDS_COUNT = 8
+"""Kinds of ordinary driving, each to the left and to the right. With 4 the drives on other roads are clearly less
+likely, with 12 hardly more so, and a unit asks each of them."""
 FOLDS_COUNT = 4
+LIMITING_FRAC = 0.25
+"""Share of the drives, and of the random roads, that set the limit and are not learned from."""
 MOST_ROWS_COUNT = 6000
 """Of known roads, and of random ones: a density of some thousand figures is not known better by more."""
-KNOWN_FLAGGED_FRAC = 0.01
-"""Share of ordinary drives on known roads that may be called strange."""
+KNOWN_FLAGGED_FRAC = 0.015
+"""Share of ordinary drives on known roads whose driving may be called strange."""
 UNSEEN_FLAGGED_FRAC = 0.04
-"""The same on roads of which nothing was learned, by envelopes of fewer roads: with all of them it becomes less."""
+"""The same on roads of which nothing was learned."""
 STRANGE_ROADS_FRAC = 0.01
 """Share of random roads that may be called strange."""
 ROAD_MARGIN_FRAC = 0.05
@@ -39,7 +48,11 @@ SCALED_CUT_RATIO = 5.0
 _SCALE_TAIL_FRAC = 0.05
 """Features are scaled so that all but these shares of the drives lie within -1 and 1."""
 _FLOOR_RATIO2 = 0.02
-"""Added to every variance of scaled features, so that no kind is flat in any direction."""
+"""Added to every variance of scaled features, so that no kind is flat in any direction. With less the next drives on
+other roads are likelier, yet as many manoeuvres are found, and more drives of other cars are called strange."""
+_DIGITS_COUNT = 7
+"""Of a kind's figures: there are some ten thousand, and a bundle spells them out."""
+_DEMAND_PREFIXES = ("demand_", "force_", "yaw_rate_max_")
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +75,19 @@ class Ordinary:
         """Return the same drives with some of their features."""
         places = [self.feature_names.index(name) for name in names]
         return Ordinary(self.known_rows[:, places], self.unseen_rows[:, places], self.unseen_road, tuple(names))
+
+
+def driving_columns(table: FeatureTable) -> tuple[str, ...]:
+    """Return the features of a table by which driving is told from other driving.
+
+    The statistics of the motion, and how much was asked of the road if the table tells: a bend driven at the limit
+    differs from any other in little else. Not what the road seemed to give: more grip than ever is no other driving.
+    """
+    return tuple(
+        feature.name
+        for feature in table.kinematic
+        if statistic_of(feature.name) in STATISTICS or feature.name.startswith(_DEMAND_PREFIXES)
+    )
 
 
 def learn_whole_envelope(
@@ -114,8 +140,9 @@ def _edges(roads: FloatArray) -> tuple[FloatArray, FloatArray]:
 def learn_driving_envelope(drives: Ordinary, *, seed: int) -> DrivingEnvelope:
     """Return the mixture of normal distributions that ordinary drives come from, and the limit of what is ordinary.
 
-    The limit is the larger of two: beyond it lie `KNOWN_FLAGGED_FRAC` of the drives on known roads and
-    `UNSEEN_FLAGGED_FRAC` of those on random ones, by mixtures that had not seen the drive, or the road.
+    A drive and its mirror image are as strange. The limit is the larger of two: beyond it lie `KNOWN_FLAGGED_FRAC` of
+    the drives on known roads and `UNSEEN_FLAGGED_FRAC` of those on random ones, among drives and roads that were kept
+    out of what was learned from.
 
     Args:
         drives: What to learn from; all their features are looked at.
@@ -126,44 +153,82 @@ def learn_driving_envelope(drives: Ordinary, *, seed: int) -> DrivingEnvelope:
     known_values, unseen_values = drives.known_rows[known], drives.unseen_rows[unseen]
     road = np.array(drives.unseen_road)[unseen]
     names = rng.permutation(sorted(set(road.tolist())))
-    fold_of_road = {name: i % FOLDS_COUNT for i, name in enumerate(names.tolist())}
-    unseen_fold = np.array([fold_of_road[name] for name in road.tolist()], dtype=np.intp)
-    known_fold = rng.permutation(np.arange(len(known_values)) % FOLDS_COUNT)
-    known_level, unseen_level = np.empty(len(known_values)), np.empty(len(unseen_values))
-    for k in range(FOLDS_COUNT):
-        learned = np.concatenate([known_values[known_fold != k], unseen_values[unseen_fold != k]])
-        fold = prepared(_mixture(learned, drives.feature_names, limit_level=np.inf, seed=seed), drives.feature_names)
-        known_level[known_fold == k] = strangeness_level(known_values[known_fold == k], fold)
-        unseen_level[unseen_fold == k] = strangeness_level(unseen_values[unseen_fold == k], fold)
+    limits_unseen = np.isin(road, names[: _limiting_count(len(names))])
+    limits_known = rng.permutation(len(known_values)) < _limiting_count(len(known_values))
+    learned = np.concatenate([known_values[~limits_known], unseen_values[~limits_unseen]])
+    envelope = _mixture(learned, drives.feature_names, seed=seed)
+    ready = prepared(envelope, drives.feature_names)
     limit_level = max(
-        float(np.quantile(known_level, 1.0 - KNOWN_FLAGGED_FRAC)),
-        float(np.quantile(unseen_level, 1.0 - UNSEEN_FLAGGED_FRAC)),
+        _limit(strangeness_level(known_values[limits_known], ready), beyond_frac=KNOWN_FLAGGED_FRAC),
+        _limit(strangeness_level(unseen_values[limits_unseen], ready), beyond_frac=UNSEEN_FLAGGED_FRAC),
     )
-    everything = np.concatenate([known_values, unseen_values])
-    return _mixture(everything, drives.feature_names, limit_level=limit_level, seed=seed)
+    return replace(envelope, limit_level=limit_level)
+
+
+def _limiting_count(count: int) -> int:
+    return max(1, round(LIMITING_FRAC * count))
+
+
+def _limit(level: FloatArray, *, beyond_frac: float) -> float:
+    """Return the rank among one more, so that the next one lies beyond as seldom as asked; the largest if too few."""
+    rank = min(int(np.ceil((1.0 - beyond_frac) * (len(level) + 1))), len(level))
+    return float(np.sort(level)[rank - 1])
 
 
 def _some(count: int, rng: np.random.Generator) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
     return np.sort(rng.permutation(count)[:MOST_ROWS_COUNT])
 
 
-def _mixture(values: FloatArray, columns: tuple[str, ...], *, limit_level: float, seed: int) -> DrivingEnvelope:
-    lower, upper = np.quantile(values, [_SCALE_TAIL_FRAC, 1.0 - _SCALE_TAIL_FRAC], axis=0)
+def _mixture(values: FloatArray, columns: tuple[str, ...], *, seed: int) -> DrivingEnvelope:
+    """Return a mixture of kinds and of their mirror images, without a limit."""
+    mirror = mirror_of(columns)
+    sided = mirror.to_one_side(values)
+    both = np.concatenate([sided, mirror.of(sided)])
+    lower, upper = np.quantile(both, [_SCALE_TAIL_FRAC, 1.0 - _SCALE_TAIL_FRAC], axis=0)
     # A feature that hardly ever changes is taken in its own unit.
     lower, upper = np.where(upper > lower, [lower, upper], [lower - 1.0, upper + 1.0])
-    scaled = np.clip(scaled_ratio(values, lower=lower, upper=upper), -SCALED_CUT_RATIO, SCALED_CUT_RATIO)
+    scaled = np.clip(scaled_ratio(sided, lower=lower, upper=upper), -SCALED_CUT_RATIO, SCALED_CUT_RATIO)
     # Matrices this small keep many threads waiting for each other, for twenty times the processor's time.
     with threadpool_limits(limits=1):
         mixture = GaussianMixture(KINDS_COUNT, reg_covar=_FLOOR_RATIO2, random_state=seed).fit(scaled)
     # Its factors P have P P' as the inverse of the covariance, so that P' whitens.
-    whitening = np.swapaxes(mixture.precisions_cholesky_, 1, 2)
+    share, middle, whitening = _with_mirror_images(
+        mixture.weights_, mixture.means_, np.swapaxes(mixture.precisions_cholesky_, 1, 2), mirror
+    )
     return DrivingEnvelope(
         columns=columns,
         lower=tuple(lower.tolist()),
         upper=tuple(upper.tolist()),
         cut_ratio=SCALED_CUT_RATIO,
-        share_frac=tuple(mixture.weights_.tolist()),
-        middle_ratio=tuple(tuple(row) for row in mixture.means_.tolist()),
-        whitening_ratio=tuple(tuple(tuple(row) for row in kind) for kind in whitening.tolist()),
-        limit_level=limit_level,
+        share_frac=tuple(share.tolist()),
+        middle_ratio=tuple(_spelled(row) for row in middle),
+        whitening_ratio=tuple(tuple(_spelled(row) for row in kind) for kind in whitening),
+        limit_level=np.inf,
     )
+
+
+def _with_mirror_images(
+    share: FloatArray, middle: FloatArray, whitening: FloatArray, mirror: Mirror
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return each kind with half of its share, and its mirror image with the other half; all features even: no image.
+
+    Args:
+        share: (k,)
+        middle: (k, d)
+        whitening: W of each. (k, d, d)
+        mirror: Of the features.
+    """
+    if (mirror.sign > 0.0).all():
+        return share, middle, whitening
+    # |W (M x - m)| = |W M (x - M m)|, for M is its own inverse; its determinant may be -1, which a row's sign mends.
+    image = whitening[:, :, mirror.partner] * mirror.sign[mirror.partner]
+    image[:, 0] *= np.linalg.slogdet(image)[0][:, None]
+    return (
+        np.concatenate([share, share]) / 2.0,
+        np.concatenate([middle, mirror.of(middle)]),
+        np.concatenate([whitening, image]),
+    )
+
+
+def _spelled(figures: FloatArray) -> tuple[float, ...]:
+    return tuple(float(f"{figure:.{_DIGITS_COUNT}g}") for figure in figures)

@@ -1,17 +1,31 @@
 """Envelopes: they know what they were shown, flag what is far from it, and keep the share of false flags asked for."""
 
+import json
+from dataclasses import asdict
+
 import numpy as np
 import pytest
 
-from rsu_app.domain.envelope import is_strange_driving, is_strange_road, outside_box
+from roadgrip.envelope import DrivingEnvelope
+from roadgrip.features import GRIP_TABLE, PAPER_TABLE
+from rsu_app.domain.envelope import (
+    is_strange,
+    is_strange_driving,
+    is_strange_road,
+    outside_box,
+    prepared,
+    strangeness_level,
+)
 from training.study import envelopes
 from training.study.envelopes import (
     UNSEEN_FLAGGED_FRAC,
     Ordinary,
+    driving_columns,
     learn_driving_envelope,
     learn_road_box,
     learn_whole_envelope,
 )
+from training.study.mirror import mirror_of
 
 NAMES = ("speed", "steer", "yaw", "road_a", "road_b")
 DRIVING, ROAD = NAMES[:3], NAMES[3:]
@@ -68,6 +82,49 @@ def test_many_rows_are_thinned(drives: Ordinary, monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(envelopes, "MOST_ROWS_COUNT", 200)
     envelope = learn_driving_envelope(drives.columns(DRIVING), seed=1)
     assert len(envelope.share_frac) == envelopes.KINDS_COUNT
+
+
+LEFT_AND_RIGHT = ("steer_mean_rad", "steer_min_rad", "steer_max_rad", "speed_mean_mps")
+
+
+def bends_of(rng: np.random.Generator, count: int, *, side: float) -> np.ndarray:
+    """Return drives through bends to one side."""
+    mean, width = side * rng.uniform(0.02, 0.1, count), rng.uniform(0.01, 0.03, count)
+    return np.column_stack([mean, mean - width, mean + width, 20.0 - 80.0 * np.abs(mean)])
+
+
+def test_who_only_knows_left_bends_knows_right_ones():
+    rng = np.random.default_rng(7)
+    roads = tuple(f"road-{i % 40}" for i in range(600))
+    left = Ordinary(bends_of(rng, 600, side=1.0), bends_of(rng, 600, side=1.0), roads, LEFT_AND_RIGHT)
+    ready = prepared(learn_driving_envelope(left, seed=1), LEFT_AND_RIGHT)
+    rows = bends_of(rng, 300, side=1.0)
+    mirrored = mirror_of(LEFT_AND_RIGHT).of(rows)
+    assert strangeness_level(mirrored, ready) == pytest.approx(strangeness_level(rows, ready), abs=1e-3)
+    assert is_strange(bends_of(rng, 300, side=-1.0), ready).mean() < 0.1
+
+
+def test_more_is_asked_of_the_road_and_nothing_else_the_stranger_the_drive():
+    rng = np.random.default_rng(8)
+    names = ("steer_mean_rad", "demand_q100_mu")
+    asked = rng.uniform(0.1, 0.4, 1200)
+    rows = np.column_stack([asked * rng.choice([-0.2, 0.2], 1200), asked])
+    drives = Ordinary(rows[:600], rows[600:], tuple(f"road-{i % 40}" for i in range(600)), names)
+    ready = prepared(learn_driving_envelope(drives, seed=1), names)
+    level = strangeness_level(np.column_stack([np.full(20, 0.08), np.linspace(0.45, 1.2, 20)]), ready)
+    assert (np.diff(level) >= -1e-9).all()
+    assert level[0] > ready.limit_level
+
+
+def test_an_envelope_of_either_table_goes_through_a_manifest():
+    for table in (PAPER_TABLE, GRIP_TABLE):
+        names = driving_columns(table)
+        assert set(names) <= set(table.names)
+        rng = np.random.default_rng(9)
+        rows = rng.normal(0.0, 1.0, (400, len(names)))
+        drives = Ordinary(rows[:200], rows[200:], tuple(f"road-{i % 20}" for i in range(200)), names)
+        envelope = learn_driving_envelope(drives, seed=1)
+        assert DrivingEnvelope(**json.loads(json.dumps(asdict(envelope)))) is not None
 
 
 def test_known_roads_are_never_strange():

@@ -22,13 +22,14 @@ ROAD = ("section_length_m",)
 
 
 def ordinary_rows() -> np.ndarray:
-    """Drives on which more speed goes with more steering to the left."""
+    """Drives on which more speed goes with less steering, to either side."""
     runs = made_up_runs(1300)
     rows = runs.features[runs.usable].copy()
     rng = np.random.default_rng(5)
     speed, steer = NEWEST_TABLE.columns(DRIVING)
     rows[:, speed] = rng.normal(15.0, 3.0, len(rows))
-    rows[:, steer] = 0.01 * (rows[:, speed] - 15.0) + rng.normal(0.0, 0.003, len(rows))
+    turned = 0.01 * (25.0 - rows[:, speed]) + rng.normal(0.0, 0.003, len(rows))
+    rows[:, steer] = turned * rng.choice([-1.0, 1.0], len(rows))
     return rows
 
 
@@ -54,6 +55,6 @@ def test_a_combination_no_driver_has_is_seen_through_the_bundle_and_not_by_the_b
     box_alone = replace(model, ordinary=None)
     usual = next(row for row in rows if envelope_flag(row, box_alone) == NotCounted.NONE)
     strange = usual.copy()
-    strange[NEWEST_TABLE.columns(DRIVING)] = (19.0, -0.04)
+    strange[NEWEST_TABLE.columns(DRIVING)] = (19.0, -0.14)
     assert envelope_flag(strange, box_alone) == NotCounted.NONE
     assert envelope_flag(strange, model) == NotCounted.OUT_OF_ENVELOPE
