@@ -9,13 +9,12 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from roadgrip.bundle import GoldenVectors, ModelManifest, OrdinaryDriving
+from roadgrip.bundle import Conformal, GoldenVectors, ModelManifest, OrdinaryDriving
 from roadgrip.features import NEWEST_TABLE, TABLES, FeatureTable
 from roadgrip.units import BoolArray, FloatArray
 from rsu_app.domain.envelope import is_strange_driving, is_strange_road, outside_box
 from rsu_app.domain.judgement import Judgement, judgement
 from training.bundling import learn_envelope
-from training.conformal import conformal_of
 from training.dataset import Runs, joined
 from training.designs import PAPER_ROADS
 from training.error_model import LEAST_MU
@@ -26,16 +25,15 @@ from training.study.folds import PAPER_SET, RANDOM_ROADS_SET, fold_numbers, road
 from training.study.generalise.held_out import EXPECTED_ERROR, LEAST_ERROR_RATIO
 from training.study.paper_features import KINEMATIC_FEATURES
 from training.study.recipes import Estimator, Recipe
+from training.table_models import Answers, calibrated
 from vehicle_client.simulator.plan import SensorGrade
 
 ANY_SPEED_SET = "any-speed"
 DATA_SETS = (PAPER_SET, RANDOM_ROADS_SET, ANY_SPEED_SET)
 USUAL_SETS = (PAPER_SET, RANDOM_ROADS_SET)
 FOLDS_COUNT = 4
-COVERAGE_FRAC = 0.9
-"""How often the interval of a single estimate shall hold the truth."""
-DOUBTFUL_ABOVE_RATIO = 0.15
-"""An estimate with a larger expected error is taken for a lower bound."""
+MOST_DRIVES_COUNT = 15_000
+"""Of a data set, that the chapter stays within minutes: how exact a model can get is asked elsewhere."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,11 +115,15 @@ class Gathered:
 
 
 def gathered(bench: Workbench, grade: SensorGrade) -> Gathered:
-    """Return all drives that regressors of the loop are taught with or judged on."""
+    """Return drives that regressors of the loop are taught with or judged on: all, or so many by chance."""
     parts, names = [], []
     for name in DATA_SETS:
         runs = bench.runs(name, grade)
-        parts.append(runs.rows(rows_by_name(runs)))
+        rows = rows_by_name(runs)
+        if len(rows) > MOST_DRIVES_COUNT:
+            chosen = np.random.default_rng(bench.seed).permutation(len(rows))[:MOST_DRIVES_COUNT]
+            rows = rows[np.sort(chosen)]
+        parts.append(runs.rows(rows))
         names += [name] * len(parts[-1])
     runs = joined(parts)
     known = np.array([section_id in PAPER_ROADS for section_id in runs.section_id])
@@ -197,13 +199,7 @@ def loop_model(bench: Workbench, grade: SensorGrade, teaching: Teaching) -> Loop
             mu_range=(float(label_mu.min()), float(label_mu.max())),
             envelope=learn_envelope(drives.runs.columns(table.names)[taught]),
             golden=GoldenVectors(rows=(), mu=(), expected_error_ratio=()),
-            conformal=conformal_of(
-                label_mu,
-                np.maximum(judged.mu[taught], LEAST_MU),
-                judged.expected_error_ratio[taught],
-                coverage_frac=COVERAGE_FRAC,
-                doubtful_above_ratio=DOUBTFUL_ABOVE_RATIO,
-            ),
+            conformal=_calibrated(drives, judged, taught),
             ordinary=None if teaching.in_a_box else _ordinary(drives, taught, table, seed=bench.seed),
         ),
     )
@@ -246,7 +242,8 @@ def what_is_taught(bench: Workbench, grade: SensorGrade, teaching: Teaching) -> 
     """Return what a teaching comes to; envelopes are judged by one fold, the estimates by all."""
     drives, judged = gathered(bench, grade), strange(bench, grade, teaching)
     error_ratio = np.abs(judged.mu / drives.label_mu - 1.0)
-    doubtful = judged.expected_error_ratio > DOUBTFUL_ABOVE_RATIO
+    meant = _calibrated(drives, judged, drives.of(*teaching.data_sets))
+    doubtful = judged.expected_error_ratio > meant.doubtful_above_ratio
 
     def work() -> Arrays:
         table = _table_of(teaching.recipe)
@@ -268,6 +265,12 @@ def what_is_taught(bench: Workbench, grade: SensorGrade, teaching: Teaching) -> 
         },
         strange_frac={name: float(flags["strange"][part & (drives.fold == 0)].mean()) for name, part in parts.items()},
     )
+
+
+def _calibrated(drives: Gathered, judged: Strange, taught: BoolArray) -> Conformal:
+    """Return what expected errors mean, as for a bundle: by random roads that nobody had learned. `taught`: (n,)"""
+    random = taught & ~np.isin(drives.runs.section_id, PAPER_ROADS)
+    return calibrated(Answers(judged.mu, judged.expected_error_ratio), drives.runs.labels, rows=random)
 
 
 def _ordinary(drives: Gathered, learned: BoolArray, table: FeatureTable, *, seed: int) -> OrdinaryDriving:

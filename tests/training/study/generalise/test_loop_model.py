@@ -102,3 +102,12 @@ def test_models_that_only_differ_by_their_envelope_are_taught_once(desk):
     assert models["whole"].manifest.ordinary is not None
     assert models["boxed"].manifest == replace(models["whole"].manifest, ordinary=None)
     assert loop_models(desk, GRADE, (boxed,))["boxed"].manifest.ordinary is None
+
+
+def test_large_data_sets_are_thinned_by_chance_and_always_alike(desk):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(of_loop, "MOST_DRIVES_COUNT", 50)
+        few, again = gathered(desk, GRADE), gathered(desk, GRADE)
+    assert [int(few.of(name).sum()) for name in DATA_SETS] == [50, 50, 50]
+    assert few.runs.run_key == again.runs.run_key
+    assert set(few.runs.run_key) <= set(gathered(desk, GRADE).runs.run_key)
