@@ -31,6 +31,7 @@ _PARTS = (
 )
 _GRADES = (
     ("fresh roads, automotive sensors", "fresh_roads_automotive"),
+    ("- of which the cars remember the errors", "fresh_roads_automotive_remembering"),
     ("fresh roads, ideal sensors", "fresh_roads_ideal"),
 )
 _FIGURES = (

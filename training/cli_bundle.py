@@ -18,6 +18,7 @@ from rich.progress import Progress, TaskID
 from roadgrip.bundle import MANIFEST_NAME, BundleManifest, manifest_from_json
 from roadgrip.errors import BundleError
 from training.bundle_card import CARD_NAME, card_of
+from training.cars import Garage
 from training.cells import cells_of
 from training.cli_designs import (
     DEFAULT_SEED,
@@ -51,6 +52,15 @@ FRESH_ROADS_SHARE = 1 / 6
 """Roads that only judge, for every random road that is learned from."""
 FEWEST_FRESH_ROADS = 4
 FRESH_RUNS_COUNT = 2
+ROADS_PER_GROUP = 15
+"""Random roads for each group of cars that drive them."""
+FRESH_CARS: Mapping[str, tuple[SensorGrade, bool]] = {
+    "automotive": (SensorGrade.AUTOMOTIVE, False),
+    "automotive_remembering": (SensorGrade.AUTOMOTIVE, True),
+    "ideal": (SensorGrade.IDEAL, False),
+}
+"""Who drives the roads that only judge: sensors, and whether the cars have learned what theirs get wrong. The drives
+are the same for all."""
 DESIGN_NAME = "mixed-speeds"
 _TOOLS = ("roadgrip", "numpy", "scikit-learn", "xgboost-cpu", "onnx", "onnxmltools", "onnxruntime")
 _INTENDED_USE = (
@@ -91,24 +101,29 @@ def default_bundle(
     fresh_size = Size(
         FRESH_RUNS_COUNT, random_roads_count=max(FEWEST_FRESH_ROADS, round(FRESH_ROADS_SHARE * random_roads))
     )
-    design = named_design(DESIGN_NAME, Terms(DESIGN_NAME, seed, SensorGrade.AUTOMOTIVE), size)
+    terms = Terms(DESIGN_NAME, seed, SensorGrade.AUTOMOTIVE, garage=_half_schooled(random_roads))
+    design = named_design(DESIGN_NAME, terms, size)
     driven = drive(design, work / "runs", workers=workers, command=command)
     fresh = {
-        # Other roads than those above; under both grades the same drives.
-        grade: drive(
-            named_design("random-roads", Terms("random-roads", seed + 1, grade), fresh_size),
-            work / f"fresh-{grade.value}",
+        # Other roads than those above.
+        name: drive(
+            named_design(
+                "random-roads",
+                Terms("random-roads", seed + 1, grade, garage=_garage(fresh_size, schooled=schooled)),
+                fresh_size,
+            ),
+            work / f"fresh-{name}",
             workers=workers,
             command=command,
         )
-        for grade in SensorGrade
+        for name, (grade, schooled) in FRESH_CARS.items()
     }
     learned = learned_drives(driven, seed=FitParameters().seed)
     plans = (best_plan(seed=FitParameters().seed), paper_plan(FitParameters()))
     manifest = _made(
         learned,
         plans,
-        {grade: some.rows(np.flatnonzero(some.usable)) for grade, some in fresh.items()},
+        {name: some.rows(np.flatnonzero(some.usable)) for name, some in fresh.items()},
         out,
         provenance={
             "command": command,
@@ -162,7 +177,7 @@ def tools_provenance() -> dict[str, str]:
 def _made(
     learned: LearnedDrives,
     plans: tuple[TablePlan, ...],
-    fresh: Mapping[SensorGrade, Runs],
+    fresh: Mapping[str, Runs],
     out: Path,
     *,
     provenance: dict[str, str],
@@ -188,8 +203,8 @@ def _made(
         task = bar.add_task("judging and exporting", total=None, rate="")
         parts = parts_of(learned.runs, known=learned.known)
         metrics |= strange_figures(judging, learned.runs, parts, among=learned.fold == 0)
-        for grade, some in fresh.items():
-            part = f"fresh_roads_{grade.value}"
+        for name, some in fresh.items():
+            part = f"fresh_roads_{name}"
             everything = np.ones(len(some), dtype=np.bool_)
             metrics |= strange_figures(ordinary, some, {part: everything}, among=everything)
             for model in models:
@@ -197,10 +212,7 @@ def _made(
         for model in models:
             metrics |= figures_of(model, learned)
         written = write_models(
-            [
-                model.for_bundle(learned.runs, unseen=fresh[SensorGrade.AUTOMOTIVE], ordinary=ordinary)
-                for model in models
-            ],
+            [model.for_bundle(learned.runs, unseen=fresh["automotive"], ordinary=ordinary) for model in models],
             out,
             name=BUNDLE_NAME,
             metrics=metrics,
@@ -215,6 +227,17 @@ def _made(
     return written
 
 
+def _half_schooled(random_roads_count: int) -> Garage:
+    """Return cars half of which have learned what their sensors get wrong, as a unit meets new ones and old ones."""
+    half_count = max(1, random_roads_count // (2 * ROADS_PER_GROUP))
+    return Garage(2 * half_count, half_count)
+
+
+def _garage(size: Size, *, schooled: bool) -> Garage:
+    groups_count = max(1, size.random_roads_count // ROADS_PER_GROUP)
+    return Garage(groups_count, groups_count if schooled else 0)
+
+
 def _show(bar: Progress, task: TaskID, done: int) -> None:
     bar.update(task, completed=done)
 
@@ -224,8 +247,8 @@ def _learned_from(driven: Runs, size: Size) -> str:
     return (
         f"{len(driven)} simulated drives: at each of 11 base frictions the paper's three roads with {size.runs_count} "
         f"usual vehicles and {quarter_count} of any speed, {size.random_roads_count} random roads with "
-        f"{size.random_runs_count} and {few_count}; one car (an XC90), automotive sensors, maps as surveyed, prudent "
-        "drivers, tyre wear 0.8 to 1"
+        f"{size.random_runs_count} and {few_count}; one kind of car (an XC90), automotive sensors, half of "
+        "the cars remember what theirs get wrong, maps as surveyed, prudent drivers, tyre wear 0.8 to 1"
     )
 
 

@@ -48,6 +48,12 @@ def test_the_default_bundle_of_a_tiny_design_serves_both_tables(tmp_path: Path) 
     assert manifest.bundle_id == told["bundle_id"]
     assert manifest.table_digests == (GRIP_TABLE.digest, PAPER_TABLE.digest)
     for version in (1, 2):
-        for part in ("known_roads", "unseen_roads", "fresh_roads_automotive", "fresh_roads_ideal"):
+        for part in (
+            "known_roads",
+            "unseen_roads",
+            "fresh_roads_automotive",
+            "fresh_roads_automotive_remembering",
+            "fresh_roads_ideal",
+        ):
             assert 0.0 < manifest.metrics[f"mape_ratio.{part}.v{version}"] < 1.0
     assert manifest.bundle_id in invoke("card", out)

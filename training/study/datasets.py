@@ -90,7 +90,7 @@ DATA_SETS: tuple[DataSet, ...] = (
     DataSet(
         name="paper-fleet",
         design="varied-vehicles",
-        size=Size(500),
+        size=Size(300),
         quick_size=Size(20),
         purpose="the same with another vehicle in every run",
     ),
@@ -116,6 +116,25 @@ DATA_SETS: tuple[DataSet, ...] = (
         quick_size=Size(1, random_roads_count=100),
         seed=2,
         purpose="the same roads with another vehicle in every run",
+    ),
+    DataSet(
+        name="random-roads-new-cars",
+        design="random-roads",
+        size=Size(1, random_roads_count=400),
+        quick_size=Size(1, random_roads_count=60),
+        seed=2,
+        purpose="some of the random roads by cars from the dealer, which remember nothing of their sensors",
+        remembering=False,
+    ),
+    DataSet(
+        name="random-roads-finer-sensors",
+        design="random-roads",
+        size=Size(1, random_roads_count=400),
+        quick_size=Size(1, random_roads_count=60),
+        seed=2,
+        purpose="the same with half the errors of sensors and map, for what sensors limit",
+        scales=AmplitudeScales(sensors_ratio=0.5),
+        remembering=False,
     ),
     DataSet(
         name="any-speed",
@@ -145,7 +164,7 @@ DATA_SETS: tuple[DataSet, ...] = (
     DataSet(
         name="lives-fleet",
         design="lives-fleet",
-        size=Size(72),
+        size=Size(48),
         quick_size=Size(6),
         seed=2,
         purpose="cars of a fleet that learn on everyday roads, then drive random ones; told in several ways",
@@ -154,7 +173,7 @@ DATA_SETS: tuple[DataSet, ...] = (
     DataSet(
         name="lives-paper",
         design="lives-paper",
-        size=Size(36),
+        size=Size(24),
         quick_size=Size(4),
         seed=2,
         purpose="the same with the paper's car and other sensors in each",
