@@ -9,7 +9,6 @@ import numpy as np
 
 from roadgrip.bundle import Conformal
 from roadgrip.units import BoolArray, FloatArray
-from training.conformal import conformal_of
 from training.study.chapter import Cell, Chapter, Claim, Result, Table, Verdict, Workbench
 from training.study.distributions import identity_line, per_cent
 from training.study.folds import FOLDS_COUNT, RANDOM_ROADS_SET
@@ -27,6 +26,7 @@ from training.study.generalise.held_out import (
 from training.study.picture import Axis, Bars, Line, Lines, Picture
 from training.study.recipes import BEST_RECIPE
 from training.study.wording import by_grade, leading_grade, per_cent_words
+from training.table_models import Answers, calibrated
 from vehicle_client.simulator.plan import SensorGrade
 
 COVERAGE_FRAC = 0.9
@@ -112,18 +112,17 @@ def ways_of(judged: HeldOut) -> dict[str, Intervals]:
 def recommended(judged: HeldOut) -> Conformal:
     """Return what a bundle with such models should say of their expected errors.
 
-    Doubtful is what has more error to expect than the value that best parts passages that used less than a third of
-    the grip from the others: the share found less the share called wrongly is largest there (Youden's index).
+    As `training.table_models` finds it for a bundle: doubtful is what has more error to expect than the value that best
+    parts passages that used less than a third of the grip from the others (Youden's index), and more than errors that
+    need no excuse.
 
     Args:
         judged: Passages on roads of which nothing was learned.
     """
-    return conformal_of(
-        judged.label_mu,
-        np.maximum(judged.mu, 1e-3),
-        judged.expected_error_ratio,
-        coverage_frac=COVERAGE_FRAC,
-        doubtful_above_ratio=best_threshold(judged.expected_error_ratio, _shy(judged)),
+    return calibrated(
+        Answers(judged.mu, judged.expected_error_ratio),
+        {"label_mu": judged.label_mu, "peak_utilisation_ratio": judged.utilisation_ratio},
+        rows=np.ones(len(judged), dtype=np.bool_),
     )
 
 
