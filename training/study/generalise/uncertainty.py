@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import partial
+from itertools import pairwise
 
 import numpy as np
 
 from roadgrip.bundle import Conformal
 from roadgrip.units import BoolArray, FloatArray
+from training.conformal import GROUP_SHORTFALL_FRAC
 from training.study.chapter import Cell, Chapter, Claim, Result, Table, Verdict, Workbench
 from training.study.distributions import identity_line, per_cent
 from training.study.folds import FOLDS_COUNT, RANDOM_ROADS_SET
@@ -26,7 +28,8 @@ from training.study.generalise.held_out import (
 from training.study.picture import Axis, Bars, Line, Lines, Picture
 from training.study.recipes import BEST_RECIPE
 from training.study.wording import by_grade, leading_grade, per_cent_words
-from training.table_models import Answers, calibrated
+from training.table_figures import holds
+from training.table_models import FRICTION_EDGES_MU, Answers, calibrated
 from vehicle_client.simulator.plan import SensorGrade
 
 COVERAGE_FRAC = 0.9
@@ -57,6 +60,7 @@ def compute(bench: Workbench, grade: SensorGrade) -> Result:
         **_signal_figures(judged, signals),
         **_interval_figures(judged, ways),
         **_censoring_figures(judged, advice),
+        **_stated_figures(judged, advice),
         "calibration.worst_ratio": _worst_calibration_ratio(judged),
         "recommended.coverage_frac": advice.coverage_frac,
         "recommended.quantile": advice.quantile,
@@ -75,6 +79,7 @@ def compute(bench: Workbench, grade: SensorGrade) -> Result:
             _signal_table(figures, signals),
             _interval_table(judged, ways),
             _censoring_table(judged, advice),
+            _stated_table(judged, advice),
         ),
         pictures=_pictures(judged, ways, advice, grade),
     )
@@ -172,6 +177,44 @@ def _censoring_figures(judged: HeldOut, advice: Conformal) -> dict[str, float]:
         figures[f"{name}.held_at_least"] = _mean_of(low <= judged.label_mu, doubtful)
         figures[f"{name}.share_of_truth_at_least"] = _mean_of(low / judged.label_mu, doubtful)
     return figures
+
+
+def _stated(judged: HeldOut, advice: Conformal) -> BoolArray:
+    """Return where what is said holds: of an "at least" the bound, of the others the interval. (m,)"""
+    answers = Answers(judged.mu, judged.expected_error_ratio)
+    return holds(answers, judged.label_mu, advice)
+
+
+def _groups(judged: HeldOut) -> dict[str, BoolArray]:
+    """Return the passages by friction and by the share of the grip that they used, groups that are not empty."""
+    by_friction = {
+        f"friction {band_name(band)}": band_of(judged.label_mu, band)
+        for band in pairwise((0.0, *FRICTION_EDGES_MU, np.inf))
+    }
+    by_use = {f"used {band_name(band)}": band_of(judged.utilisation_ratio, band) for band in UTILISATION_BANDS}
+    return {name: chosen for name, chosen in (by_friction | by_use).items() if chosen.any()}
+
+
+def _stated_figures(judged: HeldOut, advice: Conformal) -> dict[str, float]:
+    held = _stated(judged, advice)
+    by_group = [float(held[chosen].mean()) for chosen in _groups(judged).values()]
+    return {"stated.held": float(held.mean()), "stated.held_in_worst_group": min(by_group)}
+
+
+def _stated_table(judged: HeldOut, advice: Conformal) -> Table:
+    held, doubtful = _stated(judged, advice), judged.expected_error_ratio > advice.doubtful_above_ratio
+    everything = np.ones(len(judged), dtype=np.bool_)
+    rows: list[tuple[Cell, ...]] = [
+        (name, int(chosen.sum()), per_cent(float(doubtful[chosen].mean())), per_cent(float(held[chosen].mean())))
+        for name, chosen in ({"all": everything} | _groups(judged)).items()
+    ]
+    return Table(
+        "How often what is said holds, intervals and bounds, as a bundle would say it",
+        ("passages with", "passages", "say at least, %", "holds, %"),
+        tuple(rows),
+        note=f"Asked for: {per_cent(advice.coverage_frac):.0f} % over all, and at most "
+        f"{per_cent(GROUP_SHORTFALL_FRAC):.0f} % fewer in any group. By the truth, which nobody knows on the road.",
+    )
 
 
 def _mean_of(values: FloatArray | BoolArray, chosen: BoolArray) -> float:

@@ -40,6 +40,12 @@ def test_doubtful_are_above_all_those_that_used_little(result):
     assert figures["bound.held"] > COVERAGE_FRAC
 
 
+def test_what_is_said_holds_in_every_group(result):
+    figures = result.figures
+    assert figures["stated.held"] >= COVERAGE_FRAC - 1e-9
+    assert COVERAGE_FRAC - 0.2 < figures["stated.held_in_worst_group"] <= figures["stated.held"]
+
+
 def test_keeping_those_that_seem_sure_errs_less_and_an_oracle_least(result):
     figures = result.figures
     least, most = figures["kept_mape.the errors"], figures["kept_mape.nothing"]
