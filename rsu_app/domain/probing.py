@@ -21,6 +21,7 @@ from roadgrip.section import RoadSection
 from roadgrip.units import kph_to_mps, mps_to_kph
 from rsu_app.domain.advisory import STEP_KPH, AdvisoryPolicy, advise, curve_speed_mps
 from rsu_app.domain.interval import mu_low_of_median
+from rsu_app.domain.likelihoods import LIKELIHOODS_COUNT
 from rsu_app.domain.pooling import RefinedInterval, Support
 from rsu_app.domain.window import WindowRows
 
@@ -94,6 +95,16 @@ class WindowKnowledge:
     support: Support
     likely: RefinedInterval | None = None
 
+    @property
+    def likely_count(self) -> int:
+        """How many vehicles sent their likelihoods."""
+        return 0 if self.likely is None else self.likely.informative_count + self.likely.censored_count
+
+    @property
+    def is_watched(self) -> bool:
+        """Whether ice would show: at least half of the newest vehicles sent their likelihoods."""
+        return 2 * self.likely_count >= min(len(self.rows.mu), LIKELIHOODS_COUNT)
+
 
 def standing_after(standing: Standing | None, advisory: Advisory, *, now_s: float) -> Standing:
     """Return what drivers are told once an advisory is given; its time goes on if it says what stood before."""
@@ -139,14 +150,15 @@ def advise_as_known(
     By `rsu_app.domain.advisory.advise` where enough vehicles name a friction, or there is nothing to go by at all; only
     that those who know a bound do not lower it: it falls no further than the median says to which a bound is one.
 
-    Otherwise the advice that stands is held, and
+    Otherwise the advice that stands is held, as long as vehicles send likelihoods, and
 
     - rises by a step, to the winter speed at most, once vehicles have shown headroom;
     - is no lower than a known friction of the bound's value would give;
     - is no higher than those give who name a friction, nor the likelihoods of all where they exclude a high one, if
       there are a few of either. They may know of ice where no single vehicle does, and may only lower the advice.
 
-    Without an advice that stands it begins as with a provisional interval.
+    Without an advice that stands it begins as with a provisional interval; without likelihoods it stays with that, for
+    nothing else would tell of ice under drivers who are slower than they are told.
 
     Args:
         section: The map.
@@ -181,8 +193,9 @@ def advise_as_known(
         known_mps = min(standing.speed_mps, speed_mps(careful_ratio * mu_low_of_median(window.support.bound_mu)))
         return replace(plain, speed_mps=max(plain.speed_mps, _rounded_down_mps(known_mps)))
     winter_mps = min(policy.winter_speed_mps, section.speed_limit_mps)
-    advised_mps = plain.speed_mps if standing is None else min(standing.speed_mps, section.speed_limit_mps)
-    if standing is not None and shows_headroom(window.rows, standing=standing, policy=probing):
+    held = standing if window.is_watched else None
+    advised_mps = plain.speed_mps if held is None else min(held.speed_mps, section.speed_limit_mps)
+    if held is not None and shows_headroom(window.rows, standing=held, policy=probing):
         advised_mps = max(advised_mps, min(advised_mps + kph_to_mps(STEP_KPH), winter_mps))
     sure_mps = speed_mps(window.support.least_mu_low)
     many = window.support.named_count + window.support.censored_count >= probing.sure_count
@@ -195,9 +208,8 @@ def _known_mu_low(window: WindowKnowledge, *, policy: ProbingPolicy) -> list[flo
     """Return what a worn tyre finds by those of a window who know it, maybe nobody."""
     support, likely = window.support, window.likely
     known = [support.named_mu_low] if support.named_count >= policy.knowing_count else []
-    if likely is not None and not likely.at_least:
-        passages_count = likely.informative_count + likely.censored_count
-        known += [likely.mu_low] if passages_count >= policy.likely_count else []
+    if likely is not None and not likely.at_least and window.likely_count >= policy.likely_count:
+        known.append(likely.mu_low)
     return known
 
 

@@ -1,7 +1,8 @@
 """What the unit says of a section's friction: the published interval, and beside it the refined one.
 
-What is published is an index away in a window that is always in order. Everything else looks at the newest vehicles
-only, a number that no traffic exceeds, and is computed once after each change of the window, when somebody asks.
+What is published is an index away in a window that is always in order. Everything else, how far vehicles support it
+included, looks at the newest of them only, a number that no traffic exceeds, and is computed once after each change of
+the window, when somebody asks.
 """
 
 from __future__ import annotations

@@ -55,11 +55,19 @@ def interval_of(rows):
     return friction_interval(np.sort(rows.mu).tolist(), newest_age_s=0.0, policy=IntervalPolicy())
 
 
-def advice(rows, *, standing_kph=40.0, likely=None, section=BEND, since_s=0.0, policy=POLICY, model_live=True):
+def open_above(count):
+    """What likelihoods place that exclude no high friction."""
+    return RefinedInterval(0.08, 0.1, inf, 0, count, clipped=False, at_least=True) if count else None
+
+
+def advice(
+    rows, *, standing_kph=40.0, likely=None, unsent=False, section=BEND, since_s=0.0, policy=POLICY, model_live=True
+):
+    sent = None if unsent else likely or open_above(len(rows.mu))
     return advise_as_known(
         section,
         interval=interval_of(rows),
-        window=window_of(rows, likely),
+        window=window_of(rows, sent),
         model_live=model_live,
         policy=policy,
         probing=PROBING,
@@ -139,6 +147,27 @@ def test_drivers_who_are_told_less_than_is_meant_neither_lower_nor_raise_it(coun
     assert advised_kph(rows, standing_kph=meant_kph) == pytest.approx(meant_kph)
 
 
+@pytest.mark.parametrize("sent_frac", [0.0, 0.4])
+def test_without_likelihoods_nothing_would_tell_of_ice_so_nothing_is_held(sent_frac):
+    rows = rows_of(60)
+    plain = advise(
+        BEND,
+        interval=marked_interval(interval_of(rows), window_of(rows).support),
+        model_live=True,
+        policy=POLICY,
+        previous_speed_mps=kph_to_mps(60.0),
+    )
+    few = open_above(int(sent_frac * 60))
+    told = advice(rows, standing_kph=60.0, likely=few, unsent=few is None)
+    assert told.speed_mps == plain.speed_mps < kph_to_mps(60.0)
+
+
+def test_of_a_dense_traffic_the_newest_two_hundred_likelihoods_suffice():
+    assert advised_kph(rows_of(900, slowest_kph=1.0), likely=open_above(100)) == pytest.approx(40.0)
+    assert window_of(rows_of(900), open_above(100)).is_watched
+    assert not window_of(rows_of(900), open_above(99)).is_watched
+
+
 @given(
     named_mu=st.floats(0.1, 0.8),
     named_count=st.integers(50, 100),
@@ -215,7 +244,7 @@ def test_it_rises_step_by_step_each_after_new_vehicles():
         told = advise_as_known(
             BEND,
             interval=interval_of(rows),
-            window=window_of(rows),
+            window=window_of(rows, open_above(30)),
             model_live=True,
             policy=POLICY,
             probing=PROBING,
@@ -248,7 +277,8 @@ def test_what_all_likelihoods_place_lowers_the_advice_but_does_not_raise_it():
     assert advised_kph(rows, likely=likely_at(0.15)) == pytest.approx(5.0 * (kph_for(0.12) // 5.0))
     assert advised_kph(rows, likely=likely_at(1.5)) == pytest.approx(45.0)
     assert advised_kph(rows, likely=likely_at(0.15, at_least=True)) == pytest.approx(45.0)
-    assert advised_kph(rows, likely=likely_at(0.15, count=19)) == pytest.approx(45.0)
+    assert advised_kph(rows, likely=likely_at(0.15, count=31)) < 45.0
+    assert advised_kph(rows_of(30), likely=likely_at(0.15, count=19)) == pytest.approx(45.0)
 
 
 @given(
