@@ -218,10 +218,10 @@ def _with_mirror_images(
         whitening: W of each. (k, d, d)
         mirror: Of the features.
     """
-    if (mirror.sign > 0.0).all():
+    if (mirror.sign_ratio > 0.0).all():
         return share, middle, whitening
     # |W (M x - m)| = |W M (x - M m)|, for M is its own inverse; its determinant may be -1, which a row's sign mends.
-    image = whitening[:, :, mirror.partner] * mirror.sign[mirror.partner]
+    image = whitening[:, :, mirror.partner] * mirror.sign_ratio[mirror.partner]
     image[:, 0] *= np.linalg.slogdet(image)[0][:, None]
     return (
         np.concatenate([share, share]) / 2.0,

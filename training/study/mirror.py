@@ -20,24 +20,24 @@ _EVEN_STATISTICS = frozenset({"std", "kurtosis"})
 
 @dataclass(frozen=True, slots=True)
 class Mirror:
-    """What mirroring does to features: row[partner] * sign.
+    """What mirroring does to features: row[partner] * sign_ratio.
 
     Attributes:
         partner: Which column each takes its value from; twice is once around. (d,)
-        sign: 1 or -1. (d,)
+        sign_ratio: 1 or -1. (d,)
     """
 
     partner: NDArray[np.intp]
-    sign: FloatArray
+    sign_ratio: FloatArray
 
     def of(self, rows: FloatArray) -> FloatArray:
         """Return the same drives on mirrored roads. (n, d)"""
-        mirrored: FloatArray = rows[:, self.partner] * self.sign
+        mirrored: FloatArray = rows[:, self.partner] * self.sign_ratio
         return mirrored
 
     def to_one_side(self, rows: FloatArray) -> FloatArray:
         """Return each drive or its mirror image, so that the first feature that only turns its sign is not negative."""
-        turning = np.flatnonzero((self.partner == np.arange(len(self.partner))) & (self.sign < 0.0))
+        turning = np.flatnonzero((self.partner == np.arange(len(self.partner))) & (self.sign_ratio < 0.0))
         if len(turning) == 0:
             return rows
         return np.where((rows[:, turning[0]] < 0.0)[:, None], self.of(rows), rows)

@@ -33,7 +33,7 @@ def test_twice_is_once_around_and_one_side_is_one_side(table):
 def test_speed_and_magnitudes_have_no_side():
     names = driving_columns(GRIP_TABLE)
     mirror = mirror_of(names)
-    even = [name for i, name in enumerate(names) if mirror.partner[i] == i and mirror.sign[i] > 0.0]
+    even = [name for i, name in enumerate(names) if mirror.partner[i] == i and mirror.sign_ratio[i] > 0.0]
     assert {name for name in names if name.startswith(("speed_", "demand_", "force_", "yaw_rate_max_"))} <= set(even)
 
 
