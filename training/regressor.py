@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
@@ -12,6 +12,7 @@ import xgboost
 from roadgrip.units import FloatArray
 from training.accuracy import mape_ratio, relative_rms_ratio
 from training.dataset import DatasetError, Runs
+from training.error_model import ERROR_FIT, grow_error_trees, log_error_ratio
 from training.fit_parameters import FitParameters, Target
 
 RowIndices: TypeAlias = np.ndarray[tuple[int], np.dtype[np.intp]]
@@ -22,6 +23,8 @@ HOLD_OUT_FRAC = 0.1
 ROAD_FOLDS_COUNT = 5
 FEWEST_ROADS = 10
 _FEWEST_RUNS = 50
+CERTAIN_ERROR_RATIO = 0.01
+"""Smaller errors to expect are not weighed up any further: a hundredth is as good as it gets."""
 _TARGET_ATTRIBUTE = "target"
 _BASE_ATTRIBUTE = "base_column"
 
@@ -90,19 +93,24 @@ def grow_trees(
         features: What to learn from; (n, columns)
         label_mu: The truth, positive. (n,)
         parameters: How the trees are grown.
-        weight_ratio: What the squared error of each row counts; one each by default. (n,)
+        weight_ratio: What the squared error of each row counts beside its certainty; one each by default. (n,)
         threads_count: At most so many; 0 takes what there is.
         on_round: Called after each boosting round with its number, for a progress bar.
 
     Raises:
         ValueError: A base column is given for trees that do not add up to a logarithm.
     """
+    if parameters.certainty_power_ratio > 0.0:
+        certainty = certainty_ratio(features, label_mu, parameters, threads_count=threads_count)
+        weight_ratio = certainty if weight_ratio is None else certainty * weight_ratio
     settings = {
         "objective": "reg:squarederror",
         "max_depth": parameters.depth_count,
         "eta": parameters.learning_rate_ratio,
         "subsample": parameters.row_share_frac,
         "colsample_bytree": parameters.column_share_frac,
+        "colsample_bynode": parameters.node_column_share_frac,
+        "min_child_weight": parameters.leaf_rows_count,
         "tree_method": "hist",
         "max_bin": parameters.bins_count,
         "seed": parameters.seed,
@@ -131,6 +139,42 @@ def grow_trees(
     if parameters.base_column is not None:
         booster.set_attr(**{_BASE_ATTRIBUTE: str(parameters.base_column)})
     return booster
+
+
+def certainty_ratio(
+    features: FloatArray, label_mu: FloatArray, parameters: FitParameters, *, threads_count: int = 0
+) -> FloatArray:
+    """Return what the squared error of each row shall count, by the error to expect of it; the mean is 1. (n,)
+
+    Either half of the rows is judged by fewer trees that learned from the other half; what these miss teaches what
+    error to expect.
+
+    Args:
+        features: What is learned from. (n, columns)
+        label_mu: The truth, positive. (n,)
+        parameters: How the trees are grown that shall be weighted.
+        threads_count: At most so many; 0 takes what there is.
+
+    References:
+        Carroll and Ruppert, Transformation and Weighting in Regression, 1988, chapter 2: weights by estimated spread.
+    """
+    rough = replace(
+        parameters,
+        certainty_power_ratio=0.0,
+        trees_count=max(1, parameters.trees_count // 3),
+        learning_rate_ratio=min(1.0, 2.0 * parameters.learning_rate_ratio),
+    )
+    half = np.random.default_rng(parameters.seed).permutation(len(label_mu)) % 2
+    mu = np.empty(len(label_mu))
+    for judged in (half == 0, half == 1):
+        trees = grow_trees(features[~judged], label_mu[~judged], rough, threads_count=threads_count)
+        mu[judged] = estimate_mu(trees, features[judged], threads_count=threads_count)
+    told = replace(ERROR_FIT, seed=parameters.seed, bins_count=min(ERROR_FIT.bins_count, parameters.bins_count))
+    errors = grow_error_trees(features, log_error_ratio(mu, label_mu), told, threads_count=threads_count)
+    expected = np.maximum(estimate_mu(errors, features, threads_count=threads_count), CERTAIN_ERROR_RATIO)
+    weight = expected**-parameters.certainty_power_ratio
+    ratio: FloatArray = weight / weight.mean()
+    return ratio
 
 
 def fit(runs: Runs, parameters: FitParameters, *, on_round: Callable[[int], None] | None = None) -> Fitted:

@@ -8,6 +8,7 @@ import pytest
 import xgboost
 
 from roadgrip.errors import BundleError
+from roadgrip.units import BoolArray, FloatArray
 from tests.training.runs import made_up_runs, shuffled
 from training.accuracy import mape_ratio
 from training.dataset import DatasetError, Runs
@@ -15,6 +16,7 @@ from training.export import check_parity, onnx_estimate_mu, parity_rows, to_onnx
 from training.fit_parameters import FitParameters, Target
 from training.regressor import (
     base_column_of,
+    certainty_ratio,
     estimate_mu,
     fit,
     grow_trees,
@@ -182,3 +184,44 @@ def test_threads_do_not_change_the_trees() -> None:
     one = grow_trees(features, label_mu, QUICK, threads_count=1)
     two = grow_trees(features, label_mu, QUICK, threads_count=2)
     assert np.array_equal(estimate_mu(one, features), estimate_mu(two, features))
+
+
+THOROUGH = FitParameters(trees_count=150, depth_count=4, learning_rate_ratio=0.15, column_share_frac=1.0)
+
+
+def half_in_noise(count: int) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Return rows, their frictions, and which half of them, told by the second feature, says nothing of its own."""
+    runs = made_up_runs(count)
+    features, label_mu = runs.features[runs.usable], runs.labels["label_mu"][runs.usable]
+    noisy: BoolArray = np.arange(len(features)) % 2 == 0
+    features[:, 1] = noisy
+    label_mu[noisy] = np.random.default_rng(2).permutation(label_mu[noisy])
+    return features, label_mu, noisy
+
+
+@pytest.mark.parametrize("target", Target)
+def test_rows_that_tell_little_weigh_little(target: Target) -> None:
+    features, label_mu, noisy = half_in_noise(1500)
+    weight = certainty_ratio(features, label_mu, replace(THOROUGH, target=target, certainty_power_ratio=1.0))
+    assert weight.mean() == pytest.approx(1.0)
+    assert weight[~noisy].mean() > 1.5 * weight[noisy].mean()
+
+
+def test_weights_by_certainty_make_what_can_be_known_better_known() -> None:
+    features, label_mu, _ = half_in_noise(3000)
+    fresh = made_up_runs(1000, seed=5)
+    rows = fresh.features[fresh.usable]
+    rows[:, 1] = 0.0
+
+    def error(parameters: FitParameters) -> float:
+        trees = grow_trees(features, label_mu, parameters)
+        return mape_ratio(fresh.labels["label_mu"][fresh.usable], estimate_mu(trees, rows))
+
+    assert error(replace(THOROUGH, certainty_power_ratio=2.0)) < error(THOROUGH)
+
+
+def test_rows_weigh_the_same_on_any_number_of_threads() -> None:
+    features, label_mu, _ = half_in_noise(400)
+    parameters = replace(THOROUGH, certainty_power_ratio=1.0)
+    one, two = (certainty_ratio(features, label_mu, parameters, threads_count=count) for count in (1, 2))
+    assert np.allclose(one, two, rtol=1e-6)

@@ -54,9 +54,9 @@ class DataSet:
 
 GARAGE_GROUPS_COUNT = 36
 """Eleven cars each."""
-GARAGE_QUICK_GROUPS_COUNT = 4
+GARAGE_QUICK_GROUPS_COUNT = 2
 SENSITIVITY_SIZE = Size(150)
-SENSITIVITY_QUICK_SIZE = Size(10)
+SENSITIVITY_QUICK_SIZE = Size(6)
 
 
 def _scaled_set(name: str, what: str, scales: AmplitudeScales) -> DataSet:
@@ -76,14 +76,14 @@ DATA_SETS: tuple[DataSet, ...] = (
         name="paper",
         design="paper",
         size=Size(1000),
-        quick_size=Size(40),
+        quick_size=Size(30),
         purpose="the paper's matrix: four scenarios, 11 base frictions, prudent drivers, the paper's car",
     ),
     DataSet(
         name="paper-reacting",
         design="paper",
         size=Size(250),
-        quick_size=Size(20),
+        quick_size=Size(10),
         driver_kind=DriverKind.REACTING,
         purpose="the same by drivers who only react to what they feel",
     ),
@@ -91,14 +91,14 @@ DATA_SETS: tuple[DataSet, ...] = (
         name="paper-fleet",
         design="varied-vehicles",
         size=Size(300),
-        quick_size=Size(20),
+        quick_size=Size(10),
         purpose="the same with another vehicle in every run",
     ),
     DataSet(
         name="manoeuvres",
         design="manoeuvres",
         size=Size(60),
-        quick_size=Size(8),
+        quick_size=Size(6),
         purpose="extreme manoeuvres at base frictions 0.2 to 1.0, never learned from",
     ),
     DataSet(
@@ -108,14 +108,6 @@ DATA_SETS: tuple[DataSet, ...] = (
         quick_size=Size(1, random_roads_count=100),
         seed=2,
         purpose="random roads, one vehicle per base friction on each",
-    ),
-    DataSet(
-        name="random-roads-fleet",
-        design="random-roads-fleet",
-        size=Size(1, random_roads_count=1500),
-        quick_size=Size(1, random_roads_count=100),
-        seed=2,
-        purpose="the same roads with another vehicle in every run",
     ),
     DataSet(
         name="random-roads-new-cars",
@@ -140,7 +132,7 @@ DATA_SETS: tuple[DataSet, ...] = (
         name="any-speed",
         design="any-speed",
         size=Size(60, random_roads_count=400, random_runs_count=1),
-        quick_size=Size(6, random_roads_count=30, random_runs_count=1),
+        quick_size=Size(4, random_roads_count=20, random_runs_count=1),
         seed=2,
         purpose="the paper's roads and some of the random ones at any speed, whatever the friction",
     ),
@@ -148,7 +140,7 @@ DATA_SETS: tuple[DataSet, ...] = (
         name="random-roads-batches",
         design="random-roads",
         size=Size(60, random_roads_count=30),
-        quick_size=Size(12, random_roads_count=6),
+        quick_size=Size(12, random_roads_count=4),
         seed=4,
         purpose="other random roads with many vehicles per base friction, for what they say together",
     ),
@@ -165,7 +157,7 @@ DATA_SETS: tuple[DataSet, ...] = (
         name="lives-fleet",
         design="lives-fleet",
         size=Size(48),
-        quick_size=Size(6),
+        quick_size=Size(3),
         seed=2,
         purpose="cars of a fleet that learn on everyday roads, then drive random ones; told in several ways",
         lives=Cars.FLEET,
@@ -174,7 +166,7 @@ DATA_SETS: tuple[DataSet, ...] = (
         name="lives-paper",
         design="lives-paper",
         size=Size(24),
-        quick_size=Size(4),
+        quick_size=Size(2),
         seed=2,
         purpose="the same with the paper's car and other sensors in each",
         lives=Cars.PAPER,

@@ -109,13 +109,16 @@ BEST_RECIPE = Recipe(
     (FIRST_GUESS, *(name for name in FEATURE_NAMES if name != FIRST_GUESS)),
     Boosted(
         FitParameters(
-            trees_count=600,
-            depth_count=5,
+            trees_count=500,
+            depth_count=6,
             learning_rate_ratio=0.05,
             row_share_frac=0.7,
-            column_share_frac=0.4,
+            column_share_frac=0.7,
+            node_column_share_frac=0.3,
+            leaf_rows_count=6.0,
             target=Target.LOG_MU,
             base_column=0,
+            certainty_power_ratio=2.0,
         )
     ),
 )

@@ -27,7 +27,7 @@ from vehicle_client.simulator.plan import SensorGrade
 if TYPE_CHECKING:
     from optuna.trial import Trial
 
-SPACE_VERSION = 1
+SPACE_VERSION = 2
 """Counts up when what is searched changes: a journal of another space is not gone on with."""
 FOLDS_COUNT = 4
 ROADS_FRAC = 0.5
@@ -36,6 +36,7 @@ MOST_TREES_COUNT = 1500
 """A model of more trees than this is no longer small."""
 RATE_RANGE, EFFORT_RANGE = (0.01, 0.3), (5.0, 80.0)
 DEPTH_RANGE, ROW_RANGE, COLUMN_RANGE = (3, 8), (0.3, 1.0), (0.1, 1.0)
+LEAF_RANGE, POWER_RANGE = (1.0, 30.0), (0.0, 2.5)
 """What is searched; effort is the sum of the trees' learning rates."""
 START, BEST = "start", "found"
 
@@ -230,6 +231,9 @@ def _suggested(trial: Trial, start: Boosted) -> Boosted:
         "depth_count": trial.suggest_int("depth_count", *DEPTH_RANGE),
         "row_share_frac": trial.suggest_float("row_share_frac", *ROW_RANGE),
         "column_share_frac": trial.suggest_float("column_share_frac", *COLUMN_RANGE),
+        "node_column_share_frac": trial.suggest_float("node_column_share_frac", *COLUMN_RANGE),
+        "leaf_rows_count": trial.suggest_float("leaf_rows_count", *LEAF_RANGE, log=True),
+        "certainty_power_ratio": trial.suggest_float("certainty_power_ratio", *POWER_RANGE),
         "aim": trial.suggest_categorical("aim", ["log", "relative"]),
     }
     return _boosted_of(values, start)
@@ -248,6 +252,9 @@ def _boosted_of(values: Mapping[str, Any], start: Boosted) -> Boosted:
         depth_count=int(values["depth_count"]),
         row_share_frac=round(float(values["row_share_frac"]), 3),
         column_share_frac=round(float(values["column_share_frac"]), 3),
+        node_column_share_frac=round(float(values["node_column_share_frac"]), 3),
+        leaf_rows_count=round(float(values["leaf_rows_count"]), 1),
+        certainty_power_ratio=round(float(values["certainty_power_ratio"]), 2),
         target=Target.LOG_MU if values["aim"] == "log" else Target.MU,
         # Only a logarithm is told as a distance from a first guess.
         base_column=start.parameters.base_column if values["aim"] == "log" else None,
@@ -265,6 +272,9 @@ def _suggestion_of(start: Boosted) -> dict[str, Any]:
         "depth_count": int(_within(given.depth_count, DEPTH_RANGE)),
         "row_share_frac": _within(given.row_share_frac, ROW_RANGE),
         "column_share_frac": _within(given.column_share_frac, COLUMN_RANGE),
+        "node_column_share_frac": _within(given.node_column_share_frac, COLUMN_RANGE),
+        "leaf_rows_count": _within(given.leaf_rows_count, LEAF_RANGE),
+        "certainty_power_ratio": _within(given.certainty_power_ratio, POWER_RANGE),
         "aim": "log" if given.target is Target.LOG_MU else "relative",
     }
 
