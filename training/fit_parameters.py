@@ -31,8 +31,8 @@ class FitParameters:
         target: What the trees add up to.
         base_column: With a logarithm as target: trees add up to how far the answer lies from this column, a first guess
             that they mend; None: from nothing.
-        certainty_power_ratio: Each row weighs by the error to expect of it to minus this power: what a passage cannot tell is
-            not worth branches that others need. 0: all weigh alike.
+        certainty_power_ratio: Each row weighs by the error to expect of it to minus this power: what a passage cannot
+            tell is not worth branches that others need. 0: all weigh alike.
         bins_count: Into how many values each feature is sorted at most; fewer are faster and coarser.
     """
 
