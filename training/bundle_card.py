@@ -28,6 +28,8 @@ _PARTS = (
     ("- drivers of any speed", "unseen_roads.any_speed"),
     ("- at least 60 % of the grip used", "unseen_roads.high_use"),
     ("- less of it used", "unseen_roads.low_use"),
+    ("- less than a third of it used", "unseen_roads.little_use"),
+    ("roads never seen, exact sensors", "exact_sensors"),
 )
 _GRADES = (
     ("fresh roads, automotive sensors", "fresh_roads_automotive"),

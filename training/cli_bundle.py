@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import platform
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import partial
 from importlib.metadata import version
 from importlib.resources import files
@@ -31,11 +32,11 @@ from training.cli_designs import (
     progress_bar,
     title_of,
 )
-from training.dataset import Runs
-from training.designs import Size, named_design
+from training.dataset import Runs, joined
+from training.designs import EXACT_SUFFIX, Size, named_design
 from training.fit_parameters import FitParameters
 from training.marked_tables import marks_of, with_tables
-from training.scenarios import Terms
+from training.scenarios import Design, Terms
 from vehicle_client.simulator.plan import SensorGrade
 
 # Trees and mixtures take seconds to import: they are where they are needed.
@@ -52,6 +53,8 @@ FRESH_ROADS_SHARE = 1 / 6
 """Roads that only judge, for every random road that is learned from."""
 FEWEST_FRESH_ROADS = 4
 FRESH_RUNS_COUNT = 2
+EXACT_ROADS_SHARE = 0.5
+"""Roads that are driven with exact sensors, too, for every random road."""
 ROADS_PER_GROUP = 15
 """Random roads for each group of cars that drive them."""
 FRESH_CARS: Mapping[str, tuple[SensorGrade, bool]] = {
@@ -103,7 +106,9 @@ def default_bundle(
     )
     terms = Terms(DESIGN_NAME, seed, SensorGrade.AUTOMOTIVE, garage=_half_schooled(random_roads))
     design = named_design(DESIGN_NAME, terms, size)
-    driven = drive(design, work / "runs", workers=workers, command=command)
+    usual = drive(design, work / "runs", workers=workers, command=command)
+    exact = drive(_exact_design(seed, size), work / "exact", workers=workers, command=command)
+    driven = joined([usual, exact])
     fresh = {
         # Other roads than those above.
         name: drive(
@@ -129,7 +134,7 @@ def default_bundle(
             "command": command,
             "intended_use": _INTENDED_USE,
             "limits": _LIMITS,
-            "learned_from": _learned_from(driven, size),
+            "learned_from": _learned_from(driven, size, exact_count=len(exact)),
             "failed": _failed(driven),
             "judged_on": (
                 "drives on the three roads by regressors that had not seen the drive, on random roads by such that had "
@@ -141,7 +146,7 @@ def default_bundle(
     if as_json:
         typer.echo(json.dumps({"bundle_id": manifest.bundle_id, "folder": str(out), "metrics": manifest.metrics}))
         return
-    print_cells(driven, cells_of(driven), title=title_of(work / "runs"))
+    print_cells(usual, cells_of(usual), title=title_of(work / "runs"))
     typer.echo(f"{card_of(manifest)}\nbundle {manifest.name} {manifest.bundle_id} in {out}")
 
 
@@ -195,24 +200,29 @@ def _made(
             title = f"growing trees of {len(plan.features)} features on {len(learned.runs)} drives, {plan.version}"
             task = bar.add_task(title, total=steps_count(), rate="")
             models.append(grown_model(learned, plan, on_step=partial(_show, bar, task)))
-        task = bar.add_task("learning what is ordinary", total=2, rate="")
-        judging = ordinary_driving(learned, seed=seed, without_fold=0)
+        task = bar.add_task("learning what is ordinary", total=1 + len(plans), rate="")
+        judging = ordinary_driving(learned, table=plans[0].table, seed=seed, without_fold=0)
         bar.advance(task)
-        ordinary = ordinary_driving(learned, seed=seed)
-        bar.advance(task)
+        ordinary = []
+        for plan in plans:
+            ordinary.append(ordinary_driving(learned, table=plan.table, seed=seed))
+            bar.advance(task)
         task = bar.add_task("judging and exporting", total=None, rate="")
         parts = parts_of(learned.runs, known=learned.known)
         metrics |= strange_figures(judging, learned.runs, parts, among=learned.fold == 0)
         for name, some in fresh.items():
             part = f"fresh_roads_{name}"
             everything = np.ones(len(some), dtype=np.bool_)
-            metrics |= strange_figures(ordinary, some, {part: everything}, among=everything)
+            metrics |= strange_figures(ordinary[0], some, {part: everything}, among=everything)
             for model in models:
                 metrics |= fresh_figures(model, some, part=part)
         for model in models:
             metrics |= figures_of(model, learned)
         written = write_models(
-            [model.for_bundle(learned.runs, unseen=fresh["automotive"], ordinary=ordinary) for model in models],
+            [
+                model.for_bundle(learned.runs, unseen=fresh["automotive"], ordinary=known)
+                for model, known in zip(models, ordinary, strict=True)
+            ],
             out,
             name=BUNDLE_NAME,
             metrics=metrics,
@@ -225,6 +235,15 @@ def _made(
         )
         bar.update(task, total=1, completed=1)
     return written
+
+
+def _exact_design(seed: int, size: Size) -> Design:
+    """Return drives on some of the random roads with exact sensors: models that never saw any expect too much noise."""
+    roads_count = max(FEWEST_RANDOM_ROADS, round(EXACT_ROADS_SHARE * size.random_roads_count))
+    terms = Terms(f"{DESIGN_NAME}-exact", seed, SensorGrade.IDEAL)
+    design = named_design("random-roads", terms, Size(1, random_roads_count=roads_count))
+    named = tuple(replace(scenario, name=f"{scenario.name}{EXACT_SUFFIX}") for scenario in design.scenarios)
+    return replace(design, scenarios=named)
 
 
 def _half_schooled(random_roads_count: int) -> Garage:
@@ -242,13 +261,14 @@ def _show(bar: Progress, task: TaskID, done: int) -> None:
     bar.update(task, completed=done)
 
 
-def _learned_from(driven: Runs, size: Size) -> str:
+def _learned_from(driven: Runs, size: Size, *, exact_count: int) -> str:
     quarter_count, few_count = -(-size.runs_count // 4), -(-size.random_runs_count // 4)
     return (
         f"{len(driven)} simulated drives: at each of 11 base frictions the paper's three roads with {size.runs_count} "
         f"usual vehicles and {quarter_count} of any speed, {size.random_roads_count} random roads with "
         f"{size.random_runs_count} and {few_count}; one kind of car (an XC90), automotive sensors, half of "
-        "the cars remember what theirs get wrong, maps as surveyed, prudent drivers, tyre wear 0.8 to 1"
+        "the cars remember what theirs get wrong, maps as surveyed, prudent drivers, tyre wear 0.8 to 1; of all drives "
+        f"{exact_count} have exact sensors and maps"
     )
 
 

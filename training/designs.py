@@ -18,6 +18,8 @@ BASE_FRICTIONS_MU = tuple(round(0.20 + 0.05 * i, 2) for i in range(11))
 PAPER_ROADS = ("long-turn", "s-turn", "sharp-turn")
 TWO_FRICTIONS_ROAD = "s-turn"
 COMPLIANCES_FRAC = (0.0, 0.5, 1.0)
+ANY_SPEED_SUFFIX, EXACT_SUFFIX = "-any-speed", "-exact"
+"""Of the names of scenarios with drivers of any speed beside usual ones, or with exact sensors beside others."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,7 +149,7 @@ def _any_speed(size: Size, seed: int) -> tuple[Scenario, ...]:
 def _mixed_speeds(size: Size, seed: int) -> tuple[Scenario, ...]:
     # A drive of any speed for every four usual ones.
     fewer = replace(size, runs_count=-(-size.runs_count // 4), random_runs_count=-(-size.random_runs_count // 4))
-    other = tuple(replace(scenario, name=f"{scenario.name}-any-speed") for scenario in _any_speed(fewer, seed))
+    other = tuple(replace(scenario, name=f"{scenario.name}{ANY_SPEED_SUFFIX}") for scenario in _any_speed(fewer, seed))
     return _mixed(size, seed) + other
 
 

@@ -11,7 +11,7 @@ from roadgrip.units import BoolArray, FloatArray
 from rsu_app.domain.envelope import is_strange_driving, is_strange_road
 from training.conformal import stated_nonconformity_ratio
 from training.dataset import Runs
-from training.designs import PAPER_ROADS
+from training.designs import ANY_SPEED_SUFFIX, EXACT_SUFFIX, PAPER_ROADS
 from training.error_model import LEAST_MU
 from training.table_models import (
     FOLDS_COUNT,
@@ -25,7 +25,6 @@ from training.table_models import (
 FRICTION_BANDS_MU: tuple[tuple[float, float], ...] = ((0.0, 0.3), (0.3, 0.4), (0.4, 0.5), (0.5, 0.6), (0.6, 1.0))
 HIGH_UTILISATION_RATIO = 0.6
 """From here on a passage has used enough of the grip to know it."""
-_ANY_SPEED = "-any-speed"
 
 
 def figures_of(model: GrownModel, drives: LearnedDrives) -> dict[str, float]:
@@ -90,21 +89,24 @@ def parts_of(runs: Runs, *, known: BoolArray) -> dict[str, BoolArray]:
         known: Which were driven on known roads. (n,)
     """
     sections = np.array(runs.section_id)
-    any_speed: BoolArray = np.char.endswith(np.array(runs.scenario), _ANY_SPEED)
+    any_speed, exact = (
+        np.char.endswith(np.array(runs.scenario), suffix) for suffix in (ANY_SPEED_SUFFIX, EXACT_SUFFIX)
+    )
+    unseen: BoolArray = ~known & ~exact
     label_mu, used = runs.labels["label_mu"], runs.labels["peak_utilisation_ratio"]
     parts: dict[str, BoolArray] = {"known_roads": known}
     parts |= {f"known_roads.{name}": sections == name for name in PAPER_ROADS}
     parts |= {
-        "unseen_roads": ~known,
-        "unseen_roads.usual_drivers": ~known & ~any_speed,
-        "unseen_roads.any_speed": ~known & any_speed,
-        "unseen_roads.high_use": ~known & (used >= HIGH_UTILISATION_RATIO),
-        "unseen_roads.low_use": ~known & (used < HIGH_UTILISATION_RATIO),
-        "unseen_roads.little_use": ~known & (used < LITTLE_USE_RATIO),
+        "unseen_roads": unseen,
+        "unseen_roads.usual_drivers": unseen & ~any_speed,
+        "unseen_roads.any_speed": unseen & any_speed,
+        "unseen_roads.high_use": unseen & (used >= HIGH_UTILISATION_RATIO),
+        "unseen_roads.low_use": unseen & (used < HIGH_UTILISATION_RATIO),
+        "unseen_roads.little_use": unseen & (used < LITTLE_USE_RATIO),
     }
     for low, high in FRICTION_BANDS_MU:
-        parts[f"unseen_roads.{band_key(low, high)}"] = ~known & (label_mu >= low) & (label_mu < high)
-    return parts
+        parts[f"unseen_roads.{band_key(low, high)}"] = unseen & (label_mu >= low) & (label_mu < high)
+    return parts | {"exact_sensors": ~known & exact}
 
 
 def band_key(low_mu: float, high_mu: float) -> str:

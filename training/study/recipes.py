@@ -119,6 +119,7 @@ BEST_RECIPE = Recipe(
             target=Target.LOG_MU,
             base_column=0,
             certainty_power_ratio=2.0,
+            bins_count=128,
         )
     ),
 )
