@@ -41,7 +41,7 @@ from training.study.generalise.loop_tables import (
     traffic_table,
     unit_table,
 )
-from training.study.generalise.loop_vehicles import simulated, terms_of, travellers
+from training.study.generalise.loop_vehicles import schooled_cars, simulated, terms_of, travellers
 from training.study.generalise.loop_verdict import verdict
 from vehicle_client.simulator.plan import SensorGrade
 
@@ -90,15 +90,16 @@ def courses(bench: Workbench, grade: SensorGrade) -> Courses:
 def _drive_road(
     found: dict[str, dict[str, Course]], road: str, cases: Sequence[Case], bench: Workbench, grade: SensorGrade
 ) -> None:
-    section, terms = read_section(road), terms_of(bench.seed, grade)
+    section, terms, memories = read_section(road), terms_of(bench.seed, grade), schooled_cars(bench, grade)
     coming = travellers(
         section,
         phases_mu=FRICTIONS_MU,
         phase_s=_phase_s(bench),
         vehicles_per_hour=QUICK_VEHICLES_PER_HOUR if bench.quick else VEHICLES_PER_HOUR,
         terms=terms,
+        sensor_seeds=tuple(memories),
     )
-    found[road] = closed_loop(cases, coming, section=section, drive=simulated(section, terms))
+    found[road] = closed_loop(cases, coming, section=section, drive=simulated(section, terms, memories=memories))
 
 
 def _phase_s(bench: Workbench) -> float:

@@ -20,10 +20,17 @@ from training.designs import PAPER_ROADS
 from training.error_model import LEAST_MU
 from training.regressor import RowIndices
 from training.study.chapter import Arrays, Workbench
-from training.study.envelopes import Ordinary, learn_whole_envelope
-from training.study.folds import PAPER_SET, RANDOM_ROADS_SET, fold_numbers, road_folds, rows_by_name, side_by_side
+from training.study.envelopes import Ordinary, driving_columns, learn_whole_envelope
+from training.study.folds import (
+    PAPER_SET,
+    RANDOM_ROADS_SET,
+    fold_numbers,
+    learner,
+    road_folds,
+    rows_by_name,
+    side_by_side,
+)
 from training.study.generalise.held_out import EXPECTED_ERROR, LEAST_ERROR_RATIO
-from training.study.paper_features import KINEMATIC_FEATURES
 from training.study.recipes import Estimator, Recipe
 from training.table_models import Answers, calibrated
 from vehicle_client.simulator.plan import SensorGrade
@@ -156,12 +163,12 @@ def strange(bench: Workbench, grade: SensorGrade, teaching: Teaching) -> Strange
         def estimate(fold: int) -> None:
             out = drives.fold == fold
             learned = taught & ~out
-            mu[out] = teaching.recipe.learn(features[learned], drives.label_mu[learned])(features[out])
+            mu[out] = learner(bench, teaching.recipe.learn)(features[learned], drives.label_mu[learned])(features[out])
 
         def expect(fold: int) -> None:
             out = drives.fold == fold
             learned = taught & ~out
-            expected[out] = EXPECTED_ERROR(features[learned], miss[learned])(features[out])
+            expected[out] = learner(bench, EXPECTED_ERROR)(features[learned], miss[learned])(features[out])
 
         side_by_side([partial(estimate, fold) for fold in range(FOLDS_COUNT)])
         miss = _miss(mu, drives.label_mu)
@@ -187,8 +194,8 @@ def loop_model(bench: Workbench, grade: SensorGrade, teaching: Teaching) -> Loop
     table = _table_of(teaching.recipe)
     features, label_mu = drives.runs.columns(teaching.recipe.features)[taught], drives.label_mu[taught]
     return LoopModel(
-        friction=teaching.recipe.learn(features, label_mu),
-        expected_error=EXPECTED_ERROR(features, _miss(judged.mu[taught], label_mu)),
+        friction=learner(bench, teaching.recipe.learn)(features, label_mu),
+        expected_error=learner(bench, EXPECTED_ERROR)(features, _miss(judged.mu[taught], label_mu)),
         places=NEWEST_TABLE.columns(teaching.recipe.features),
         table_places=NEWEST_TABLE.columns_of(table),
         manifest=ModelManifest(
@@ -281,7 +288,7 @@ def _ordinary(drives: Gathered, learned: BoolArray, table: FeatureTable, *, seed
     return learn_whole_envelope(
         Ordinary(values[learned & known], values[learned & ~known], tuple(roads.tolist()), table.names),
         road_columns=[feature.name for feature in table.road],
-        driving_columns=KINEMATIC_FEATURES,
+        driving_columns=driving_columns(table),
         seed=seed,
     )
 

@@ -7,8 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from roadgrip.sections import read_section
 from tests.training.runs import made_up_runs
 from tests.training.study.desk import Desk
+from training import cars, everyday
 from training.closed_loop import Passed
 from training.designs import PAPER_ROADS
 from training.study.chapter import Claim
@@ -29,6 +31,7 @@ from training.study.generalise.loop_cases import (
     Setting,
 )
 from training.study.generalise.loop_model import DATA_SETS
+from training.study.generalise.loop_vehicles import schooled_cars, terms_of, travellers
 from training.study.recipes import PAPER_FIT, Boosted
 from vehicle_client.simulator.plan import SensorGrade
 
@@ -36,8 +39,9 @@ FEW = Boosted(replace(PAPER_FIT, trees_count=8, depth_count=3, bins_count=16))
 GRADE = SensorGrade.IDEAL
 
 
-def made_up_drives(_section, _terms):
+def made_up_drives(_section, _terms, *, memories):
     """Return what drives plans: any features that go with the friction."""
+    assert not memories, "exact sensors leave nothing to remember"
     runs = made_up_runs(400, seed=9)
     rows, label_mu = runs.features[runs.usable], runs.labels["label_mu"][runs.usable]
 
@@ -154,3 +158,24 @@ def test_the_unit_as_it_is_has_a_line_for_each_road_and_compliance(result):
     assert {row[:2] for row in table.rows} == {
         (rule, share) for rule in (HELD, HELD_CUT) for share in (0.0, 50.0, 100.0)
     }
+
+
+@pytest.mark.sim
+@pytest.mark.xdist_group("sim")
+def test_cars_of_the_loop_learn_once_and_come_again(monkeypatch):
+    monkeypatch.setattr(everyday, "EVERYDAY_COUNT", 1)
+    monkeypatch.setattr(cars, "CARS_COUNT", 2)
+    desk = Desk(data_sets={})
+    learned = schooled_cars(desk, SensorGrade.AUTOMOTIVE)
+    assert len(learned) == 2
+    assert any(memory.passages_count == 1 for memory in learned.values())
+    assert schooled_cars(desk, SensorGrade.AUTOMOTIVE) == learned
+    coming = travellers(
+        read_section("s-turn"),
+        phases_mu=(0.5,),
+        phase_s=3600.0,
+        vehicles_per_hour=40.0,
+        terms=terms_of(1, SensorGrade.AUTOMOTIVE),
+        sensor_seeds=tuple(learned),
+    )
+    assert {one.plan.sensor_seed for one in coming} == set(learned)
