@@ -169,7 +169,7 @@ def list_chapters(*, as_json: AsJson = False) -> None:
     if as_json:
         listed = {
             part.value: [
-                {"name": chapter.name, "title": chapter.title, "needs": list(chapter.needs)}
+                {"name": chapter.name, "title": chapter.title, "needs": list(chapter.needed(SensorGrade.AUTOMOTIVE))}
                 for chapter in chapters_of(part)
             ]
             for part in Part
@@ -179,7 +179,8 @@ def list_chapters(*, as_json: AsJson = False) -> None:
     for part in Part:
         typer.echo(f"{part.value}: {PART_TITLES[part]}")
         for chapter in chapters_of(part):
-            typer.echo(f"  {chapter.name:<18} {chapter.title} ({', '.join(chapter.needs) or 'no data sets'})")
+            needed = ", ".join(chapter.needed(SensorGrade.AUTOMOTIVE)) or "no data sets"
+            typer.echo(f"  {chapter.name:<18} {chapter.title} ({needed})")
 
 
 def code_version() -> str:

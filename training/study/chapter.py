@@ -118,7 +118,8 @@ class Chapter:
         paper_says: What the paper reports, with its numbers; empty where it does not ask.
         compute: Answers it with one grade of sensors; cached by code and data.
         verdict: What to make of the results, by grade.
-        needs: Names of the data sets it takes, for the plan of the run.
+        needs: Names of the data sets it takes with any sensors, for the plan of the run.
+        automotive_needs: Those that it takes beside them with automotive sensors alone.
     """
 
     name: str
@@ -127,3 +128,8 @@ class Chapter:
     compute: Callable[[Workbench, SensorGrade], Result]
     verdict: Callable[[Mapping[SensorGrade, Result]], Verdict]
     needs: tuple[str, ...] = field(default=())
+    automotive_needs: tuple[str, ...] = field(default=())
+
+    def needed(self, grade: SensorGrade) -> tuple[str, ...]:
+        """Return the names of the data sets it takes with one grade of sensors."""
+        return (*self.needs, *(self.automotive_needs if grade is SensorGrade.AUTOMOTIVE else ()))

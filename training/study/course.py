@@ -74,7 +74,7 @@ def plan(bench: StudyWorkbench, chapters: tuple[Chapter, ...], grades: tuple[Sen
             state = State.MISSING if kept is None else State.STALE if kept.stale else State.DONE
             stages.append(Stage(chapter.name, grade, state, kept.timing if kept is not None else None))
             if state is not State.DONE:
-                needed |= {(name, grade): bench.is_driven(name, grade) for name in chapter.needs}
+                needed |= {(name, grade): bench.is_driven(name, grade) for name in chapter.needed(grade)}
     data = (
         Stage(name, grade, State.DONE if there else State.MISSING, is_data=True)
         for (name, grade), there in needed.items()
@@ -104,7 +104,7 @@ def conduct(
             try:
                 kept = bench.kept(chapter, grade)
                 is_kept = kept is not None and not kept.stale
-                for name in chapter.needs if not is_kept else ():
+                for name in chapter.needed(grade) if not is_kept else ():
                     bench.runs(name, grade)
                 computed[grade] = bench.computed(chapter, grade)
             except Exception as error:  # noqa: BLE001 - see above

@@ -44,6 +44,7 @@ CHAPTER_MODULES: Mapping[Part, tuple[str, ...]] = MappingProxyType(
             "unseen_roads",
             "learning_curve",
             "features",
+            "sensors",
             "uncertainty",
             "vehicles",
             "pooling",

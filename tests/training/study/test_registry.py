@@ -9,6 +9,7 @@ import pytest
 import training.study
 from training.study.datasets import DATA_SETS
 from training.study.registry import CHAPTER_MODULES, Part, chapters_of
+from vehicle_client.simulator.plan import SensorGrade
 
 FOLDER = Path(training.study.__file__).parent
 
@@ -37,4 +38,6 @@ def test_chapters_have_names_of_their_own_and_data_sets_that_there_are():
     chapters = [chapter for part in Part for chapter in chapters_of(part)]
     names = [chapter.name for chapter in chapters]
     assert len(set(names)) == len(names)
-    assert {name for chapter in chapters for name in chapter.needs} <= {known.name for known in DATA_SETS}
+    assert {name for chapter in chapters for name in chapter.needed(SensorGrade.AUTOMOTIVE)} <= {
+        known.name for known in DATA_SETS
+    }

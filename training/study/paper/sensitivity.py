@@ -276,5 +276,6 @@ CHAPTER = Chapter(
     ),
     compute=compute,
     verdict=verdict,
-    needs=(PAPER_SET, *SETTINGS.values()),
+    needs=(PAPER_SET, *(name for setting, name in SETTINGS.items() if setting not in SENSOR_SETTINGS)),
+    automotive_needs=tuple(SETTINGS[setting] for setting in SENSOR_SETTINGS),
 )

@@ -47,7 +47,7 @@ def _no_search(monkeypatch: pytest.MonkeyPatch) -> None:
     ids=lambda chapter: chapter.name,
 )
 def test_a_chapter_computes_what_it_needs_and_judges_it(desk: Desk, chapter: Chapter):
-    assert set(chapter.needs) <= desk.data_sets.keys()
+    assert set(chapter.needed(SensorGrade.AUTOMOTIVE)) <= desk.data_sets.keys()
     result = chapter.compute(desk, IDEAL)
     assert all(np.isfinite(value) for value in result.figures.values())
     assert result.sizes["seed"] == desk.seed
