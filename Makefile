@@ -137,7 +137,8 @@ paper-design: $(STAMP) ## Drive the paper's test matrix, 3 x 44,000 kept runs, a
 	@echo "$(OUT)/paper_design.json, .svg"
 
 study: $(STAMP) ## The paper reproduced, and what goes past it: docs/results/study (hours; goes on where it was)
-	@status=0; for part in paper generalise; do $(BIN)/roadgrip-train study $$part $(ARGS) || status=$$?; done; exit $$status
+	@status=0; for part in paper generalise; do $(BIN)/roadgrip-train study $$part $(ARGS) || status=$$?; done; \
+	  $(BIN)/roadgrip-train study page docs/study.md || status=$$?; exit $$status
 
 study-quick: $(STAMP) ## The same from a few drives, in minutes: build/study-quick
 	@status=0; for part in paper generalise; do $(BIN)/roadgrip-train study $$part --quick $(ARGS) || status=$$?; done; exit $$status

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
@@ -16,6 +17,7 @@ from rich.text import Text
 from training.cli_designs import AsJson, console
 from training.cli_study_tune import tune_recipe
 from training.code_identity import code_digest
+from training.marked_tables import with_tables
 from training.study.chapter import Chapter
 from training.study.course import Stage, State, conduct, kept_findings, plan
 from training.study.finding import Finding
@@ -158,6 +160,24 @@ def _add_command(part: Part) -> None:
 for _part in Part:
     _add_command(_part)
 study_app.command(name="tune")(tune_recipe)
+
+
+@study_app.command(name="page")
+def write_page(
+    page: Annotated[Path, typer.Argument(metavar="PAGE", help="Markdown with marks where the tables go.")],
+    *,
+    results: Annotated[Path, typer.Option("--results", metavar="FOLDER", help="What the study left.")] = DEFAULT_OUT,
+) -> None:
+    """Write the headlines, and what became of each claim, between the marks of a page.
+
+    Example: roadgrip-train study page docs/study.md
+    """
+    # Pictures take seconds to import: they are where they are needed.
+    from training.report.study_page import study_tables
+
+    link = os.path.relpath(results, page.parent)
+    page.write_text(with_tables(page.read_text(encoding="utf-8"), study_tables(results, link=link)), encoding="utf-8")
+    typer.echo(str(page))
 
 
 @study_app.command(name="list")

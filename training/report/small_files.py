@@ -158,7 +158,7 @@ def index_page(findings: Mapping[Part, Sequence[Finding]], summary: Mapping[str,
         f"{', in their quick way' if summary['quick'] else ''}; seed {summary['seed']}, code "
         f"{summary['code_version']}. For machines: [{SUMMARY_FILE_NAME}]({SUMMARY_FILE_NAME})."
     )
-    parts = ["# Results of the study", origin, "## Headlines", _headlines(summary)]
+    parts = ["# Results of the study", origin, "## Headlines", headlines_table(summary)]
     if summary["defects"]:
         parts += ["## Not as it should be", "\n".join(f"- {line}" for line in summary["defects"])]
     for part, chapters in findings.items():
@@ -196,7 +196,12 @@ def _file_names(grade: SensorGrade, kind: str, things: Sequence[Table] | Sequenc
     return [f"{grade.value}-{kind}-{i}-{slug(thing.title)}" for i, thing in enumerate(things, start=1)]
 
 
-def _headlines(summary: Mapping[str, Any]) -> str:
+def headlines_table(summary: Mapping[str, Any]) -> str:
+    """Return the headlines beside the paper and the targets as Markdown.
+
+    Args:
+        summary: As `training.study.headlines.summary` returns it, or as read from its file.
+    """
     heads = [f"{grade.value}: {what}" for grade in SensorGrade for what in ("paper's configuration", "best", "target")]
     lines = [f"| quantity | paper | {' | '.join(heads)} |", f"|---|---|{'---:|' * len(heads)}"]
     for row in headline_rows(summary):
