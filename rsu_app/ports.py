@@ -9,6 +9,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
 from roadgrip.bundle import BundleManifest
 from roadgrip.records import NotCounted, Passage
 from roadgrip.units import FloatArray
@@ -63,7 +66,7 @@ class FrictionModel(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class StoredEstimate:
-    """What the unit remembers of a passage: enough to restore its window and to recognise a repetition.
+    """What the unit remembers of a passage: what was made of it, and enough to recognise a repetition.
 
     Attributes:
         passage_id: The passage's own id.
@@ -90,6 +93,21 @@ class StoredEstimate:
     expected_error_ratio: float | None = None
     mu_low: float | None = None
     at_least: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CountablePassage:
+    """What a window takes from a passage: what was made of it, and the values that tell more than that.
+
+    Attributes:
+        estimate: What was made of it.
+        table_digest: The feature table of its values; one from the store may be older than this software knows.
+        values: The summary's values as they were judged, in the order of that table. (n,)
+    """
+
+    estimate: StoredEstimate
+    table_digest: str
+    values: NDArray[np.float32]
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,7 +174,7 @@ class PassageStore(Protocol):
         """
         ...
 
-    async def load(self, *, since_unix_s: float, limit_count: int) -> Sequence[StoredEstimate]:
+    async def load(self, *, since_unix_s: float, limit_count: int) -> Sequence[CountablePassage]:
         """Return what was received at or after a moment, oldest first; the newest `limit_count` of it.
 
         Raises:

@@ -27,7 +27,7 @@ class WindowEntry(NamedTuple):
         mu_low: Below this the friction hardly is, with the coverage the model promises; NaN when the model says
             nothing about its error.
         expected_error_ratio: Size of the error to expect, relative to the estimate; NaN when the model says nothing.
-        slowest_mps: How slowly the vehicle drove where it was slowest; NaN when that is not remembered.
+        slowest_mps: How slowly the vehicle drove where it was slowest; NaN when that is not known.
     """
 
     left_at_s: float
@@ -133,7 +133,7 @@ class FrictionWindow:
             at_least: Whether the passage only says that the friction is at least `mu_low`.
             mu_low: Below this the friction hardly is; NaN when the model says nothing about its error.
             expected_error_ratio: Size of the error to expect, relative to `mu`; NaN when the model says nothing.
-            slowest_mps: How slowly the vehicle drove where it was slowest; NaN when that is not remembered.
+            slowest_mps: How slowly the vehicle drove where it was slowest; NaN when that is not known.
 
         Raises:
             ValueError: The time or the estimate is not a number that can be ordered; or an estimate that says "at

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from math import nan
 
 import numpy as np
 
 from roadgrip.errors import BundleError, ConfigurationError
 from roadgrip.features import TABLES, road_features
-from roadgrip.records import Advisory, KinematicSummary, Passage
+from roadgrip.records import Advisory, NotCounted, Passage
 from roadgrip.section import RoadSection
 from roadgrip.units import FloatArray
 from rsu_app.domain.advisory import AdvisoryPolicy
@@ -21,7 +22,7 @@ from rsu_app.domain.pooling import RefinedInterval, Support
 from rsu_app.domain.probing import Standing
 from rsu_app.domain.watch import ChangeWatch
 from rsu_app.domain.window import FrictionWindow, WindowRows
-from rsu_app.ports import FrictionModel
+from rsu_app.ports import CountablePassage, FrictionModel
 from rsu_app.usecases.changes import Subscription
 
 
@@ -53,7 +54,7 @@ class SectionState:
         policy: What the road authority decides about its advice.
         road_rows: The features that follow from the map, by the digest of the feature table.
         window: The estimates of the last hour.
-        likelihoods: What their passages say about every friction; nothing of those before a restart.
+        likelihoods: What their passages say about every friction.
         listeners: Who is told of changes.
         watch: Looks for changes of the friction; None where that is not wanted.
         advisory: What drivers were told last; None before the first time.
@@ -125,16 +126,55 @@ def _road_rows(section: RoadSection) -> dict[str, FloatArray]:
     return rows
 
 
-def slowest_mps(summary: KinematicSummary) -> float:
-    """Return how slowly a vehicle drove where it was slowest."""
-    return float(summary_values(summary)[TABLES[summary.table_digest].index("speed_min_mps")])
+def count_passage(state: SectionState, passage: CountablePassage, *, left_at_s: float, age_s: float) -> bool:
+    """Let a passage count for a section, and return whether it does; one that is too old or flagged does not.
+
+    A passage from before a restart counts as any other.
+
+    Args:
+        state: Of the section it names.
+        passage: What is stored of it.
+        left_at_s: When the vehicle left the section, by the monotonic clock.
+        age_s: How long ago that is, by the clock that knows.
+    """
+    estimate, window_s = passage.estimate, state.window.window_s
+    memory_s = window_s if state.watch is None else state.watch.memory_s
+    if not 0.0 <= age_s <= memory_s or estimate.mu is None or estimate.flags != NotCounted.NONE:
+        return False
+    if state.watch is not None and not estimate.at_least:
+        state.watch.add(left_at_s=left_at_s, mu=estimate.mu)
+    if age_s > window_s:
+        return False
+    state.window.add(
+        left_at_s=left_at_s,
+        mu=estimate.mu,
+        at_least=estimate.at_least,
+        mu_low=nan if estimate.mu_low is None else estimate.mu_low,
+        expected_error_ratio=nan if estimate.expected_error_ratio is None else estimate.expected_error_ratio,
+        slowest_mps=_slowest_mps(passage),
+    )
+    profile_ratio = _profile_ratio(passage)
+    if profile_ratio is not None:
+        state.likelihoods.add(left_at_s=left_at_s, profile_ratio=profile_ratio)
+    return True
 
 
-def profile_ratio(summary: KinematicSummary) -> FloatArray | None:
+def _slowest_mps(passage: CountablePassage) -> float:
+    """Return how slowly a vehicle drove where it was slowest, NaN with a table that nobody knows any more."""
+    table = TABLES.get(passage.table_digest)
+    return nan if table is None else float(passage.values[table.index("speed_min_mps")])
+
+
+def _profile_ratio(passage: CountablePassage) -> FloatArray | None:
     """Return the log likelihood of friction that a vehicle sent, None with a table that has none. (k,)"""
-    names = TABLES[summary.table_digest].names
-    places = [place for place, name in enumerate(names) if name.startswith("grip_profile_")]
-    return summary_values(summary)[places].astype(np.float64) if places else None
+    places = _PROFILE_PLACES.get(passage.table_digest)
+    return passage.values[places].astype(np.float64) if places else None
+
+
+_PROFILE_PLACES = {
+    digest: [place for place, name in enumerate(table.names) if name.startswith("grip_profile_")]
+    for digest, table in TABLES.items()
+}
 
 
 def judged_passage(passage: Passage, state: SectionState, model: FrictionModel) -> Judgement:

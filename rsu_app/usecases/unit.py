@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from math import nan
 
 from roadgrip.bundle import BundleManifest
 from roadgrip.errors import BundleError, ConfigurationError, StoreError, StoreFullError
@@ -17,9 +16,7 @@ from roadgrip.records import (
     AdvisoryNotice,
     Beacon,
     FrictionInterval,
-    KinematicSummary,
     MapOffer,
-    NotCounted,
     Outcome,
     Passage,
     Rejected,
@@ -29,12 +26,20 @@ from roadgrip.units import WINDOW_S
 from rsu_app.domain.advisory import AdvisoryPolicy
 from rsu_app.domain.change import ChangePolicy
 from rsu_app.domain.interval import IntervalPolicy
-from rsu_app.domain.plausibility import age_flag, implausibility
+from rsu_app.domain.plausibility import age_flag, implausibility, summary_values
 from rsu_app.domain.pooling import PoolingPolicy
 from rsu_app.domain.probing import ProbingPolicy
 from rsu_app.domain.watch import MEMORY_WINDOWS_COUNT
 from rsu_app.domain.window import CAPACITY_COUNT, WindowRows
-from rsu_app.ports import Clock, Event, FrictionModel, PassageEntry, PassageStore, StoredEstimate
+from rsu_app.ports import (
+    Clock,
+    CountablePassage,
+    Event,
+    FrictionModel,
+    PassageEntry,
+    PassageStore,
+    StoredEstimate,
+)
 from rsu_app.usecases.changes import Subscription
 from rsu_app.usecases.readiness import Check, ClockWatch, Readiness, check_golden, model_check, store_check
 from rsu_app.usecases.recall import Recall, content_digest, outcome_of_repetition, values_digest
@@ -46,10 +51,9 @@ from rsu_app.usecases.section_friction import (
 )
 from rsu_app.usecases.section_state import (
     SectionState,
+    count_passage,
     judged_passage,
-    profile_ratio,
     section_states,
-    slowest_mps,
 )
 
 
@@ -194,9 +198,9 @@ class RoadSideUnit:
         )
         unix_s, monotonic_s = self._clock.unix_s(), self._clock.monotonic_s()
         counted_count = 0
-        for estimate in remembered:
-            age_s = unix_s - estimate.left_unix_s
-            counted_count += self._admit(estimate, left_at_s=monotonic_s - age_s, age_s=age_s)
+        for passage in remembered:
+            age_s = unix_s - passage.estimate.left_unix_s
+            counted_count += self._admit(passage, left_at_s=monotonic_s - age_s, age_s=age_s)
         self._restored = True
         self.refresh()
         return counted_count
@@ -396,7 +400,7 @@ class RoadSideUnit:
 
     async def _keep(self, entry: PassageEntry, *, left_at_s: float) -> Outcome:
         """Return the outcome after the commit; only then does the estimate count."""
-        estimate = entry.estimate
+        estimate, summary = entry.estimate, entry.passage.summary
         try:
             known = await self._store.append(entry)
         except StoreFullError as error:
@@ -405,48 +409,29 @@ class RoadSideUnit:
             return Rejected(Reason.STORE_UNAVAILABLE, str(error))
         if known is not None:
             return outcome_of_repetition(known, passage_id=estimate.passage_id, content=estimate.content_digest)
-        if self._admit(estimate, left_at_s=left_at_s, age_s=entry.passage.age_s, summary=entry.passage.summary):
+        countable = CountablePassage(estimate, summary.table_digest, summary_values(summary))
+        if self._admit(countable, left_at_s=left_at_s, age_s=entry.passage.age_s):
             state = self._states[estimate.section_id]
             self._advisory(state)
             _notify(state)
         return Accepted(estimate.flags)
 
-    def _admit(
-        self, estimate: StoredEstimate, *, left_at_s: float, age_s: float, summary: KinematicSummary | None = None
-    ) -> bool:
-        """Remember a stored estimate and return whether it counts from now on.
+    def _admit(self, passage: CountablePassage, *, left_at_s: float, age_s: float) -> bool:
+        """Remember a stored passage and return whether it counts from now on.
 
         Once only: restoring may read a passage back between its commit and the moment its sender is answered.
 
         Args:
-            estimate: What the store holds.
+            passage: What the store holds.
             left_at_s: When the vehicle left the section, by the monotonic clock.
             age_s: How long ago that is, by the clock that knows.
-            summary: What it sent; None when only the estimate is remembered.
         """
+        estimate = passage.estimate
         if estimate.passage_id in self._recall:
             return False
         self._recall.remember(estimate)
         state = self._states.get(estimate.section_id)
-        in_memory = 0.0 <= age_s <= self._memory_s
-        if state is None or not in_memory or estimate.mu is None or estimate.flags != NotCounted.NONE:
-            return False
-        if state.watch is not None and not estimate.at_least:
-            state.watch.add(left_at_s=left_at_s, mu=estimate.mu)
-        if age_s > self._limits.window_s:
-            return False
-        state.window.add(
-            left_at_s=left_at_s,
-            mu=estimate.mu,
-            at_least=estimate.at_least,
-            mu_low=nan if estimate.mu_low is None else estimate.mu_low,
-            expected_error_ratio=nan if estimate.expected_error_ratio is None else estimate.expected_error_ratio,
-            slowest_mps=nan if summary is None else slowest_mps(summary),
-        )
-        profile = None if summary is None else profile_ratio(summary)
-        if profile is not None:
-            state.likelihoods.add(left_at_s=left_at_s, profile_ratio=profile)
-        return True
+        return state is not None and count_passage(state, passage, left_at_s=left_at_s, age_s=age_s)
 
     def _interval(self, state: SectionState) -> FrictionInterval | None:
         return published_interval(

@@ -14,7 +14,8 @@ from roadgrip.features import NEWEST_TABLE, TABLES, FeatureTable, statistics_of
 from roadgrip.records import KinematicSummary, Passage, QualityFlag
 from roadgrip.section import BankOrigin, RoadSection, build_section
 from roadgrip.units import FloatArray, kph_to_mps
-from rsu_app.ports import Estimates, Event, PassageEntry, StoreCounts, StoredEstimate
+from rsu_app.domain.plausibility import summary_values
+from rsu_app.ports import CountablePassage, Estimates, Event, PassageEntry, StoreCounts, StoredEstimate
 from tests.bundles import BIAS_MU, ERROR_BIAS_RATIO, ERROR_WEIGHTS, linear_mu, make_manifest
 
 NOON_UNIX_S = 1_767_268_800.0
@@ -89,8 +90,12 @@ class FakeStore:
         self.entries.append(entry)
         return None
 
-    async def load(self, *, since_unix_s: float, limit_count: int) -> Sequence[StoredEstimate]:
-        return [e.estimate for e in self.entries if e.received_unix_s >= since_unix_s][-limit_count:]
+    async def load(self, *, since_unix_s: float, limit_count: int) -> Sequence[CountablePassage]:
+        return [
+            CountablePassage(e.estimate, e.passage.summary.table_digest, summary_values(e.passage.summary))
+            for e in self.entries
+            if e.received_unix_s >= since_unix_s
+        ][-limit_count:]
 
     async def record_event(self, event: Event) -> None:
         await self._write()

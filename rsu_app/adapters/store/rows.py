@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
 from sqlalchemy import Connection, delete, func, insert, or_, select
 from sqlalchemy.dialects.sqlite import insert as sqlite_insert
 
 from roadgrip.records import NotCounted
 from rsu_app.adapters.store.schema import EVENTS, PASSAGES, PROBES
 from rsu_app.domain.plausibility import summary_values
-from rsu_app.ports import Event, PassageEntry, StoredEstimate
+from rsu_app.ports import CountablePassage, Event, PassageEntry, StoredEstimate
 
 EVENTS_LIMIT_COUNT = 10_000
 """Events that are kept; the oldest go."""
@@ -68,15 +69,22 @@ def insert_entries(connection: Connection, entries: Sequence[PassageEntry]) -> l
     return results
 
 
-def estimates_since(connection: Connection, *, since_unix_s: float, limit_count: int) -> list[StoredEstimate]:
+def passages_since(connection: Connection, *, since_unix_s: float, limit_count: int) -> list[CountablePassage]:
     """Return what was received at or after a moment, oldest first; the newest `limit_count` of it."""
     newest_first = connection.execute(
-        select(*_ESTIMATE_COLUMNS)
+        select(*_ESTIMATE_COLUMNS, _P.table_digest, _P.features)
         .where(_P.received_unix_s >= since_unix_s)
         .order_by(_P.received_unix_s.desc(), _P.sequence_number.desc())
         .limit(limit_count)
     )
-    return [_estimate(row) for row in newest_first][::-1]
+    return [
+        CountablePassage(
+            estimate=_estimate(row),
+            table_digest=row.table_digest,
+            values=np.frombuffer(row.features, dtype="<f4").astype(np.float32),
+        )
+        for row in newest_first
+    ][::-1]
 
 
 def insert_event(connection: Connection, event: Event) -> None:

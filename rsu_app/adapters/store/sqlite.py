@@ -20,7 +20,7 @@ from rsu_app.adapters.store.migration import check, upgrade
 from rsu_app.adapters.store.recovery import damage, move_aside
 from rsu_app.adapters.store.standby import StandbyStore
 from rsu_app.adapters.store.writer import Writer, WriterLimits
-from rsu_app.ports import Event, PassageEntry, PassageStore, StoreCounts, StoredEstimate
+from rsu_app.ports import CountablePassage, Event, PassageEntry, PassageStore, StoreCounts, StoredEstimate
 
 PROBE_INTERVAL_S = 5.0
 """A commit within this time proves that writing works; readiness asked every second must not wear out the flash."""
@@ -110,10 +110,10 @@ class SqlitePassageStore:
         """Return after the commit that holds the entry; what was held already instead, if so."""
         return cast("StoredEstimate | None", await self._writer.submit(entry))
 
-    async def load(self, *, since_unix_s: float, limit_count: int) -> Sequence[StoredEstimate]:
+    async def load(self, *, since_unix_s: float, limit_count: int) -> Sequence[CountablePassage]:
         """Return what was received at or after a moment, oldest first."""
         return await self._read(
-            lambda connection: rows.estimates_since(connection, since_unix_s=since_unix_s, limit_count=limit_count)
+            lambda connection: rows.passages_since(connection, since_unix_s=since_unix_s, limit_count=limit_count)
         )
 
     async def record_event(self, event: Event) -> None:

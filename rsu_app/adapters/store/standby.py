@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Sequence
 
 from roadgrip.errors import StoreError
-from rsu_app.ports import Event, PassageEntry, PassageStore, StoreCounts, StoredEstimate
+from rsu_app.ports import CountablePassage, Event, PassageEntry, PassageStore, StoreCounts, StoredEstimate
 
 RETRY_PERIOD_S = 5.0
 """Between two attempts to open; in between, whoever asks is told why the last one failed."""
@@ -45,7 +45,7 @@ class StandbyStore:
         """Return after the commit that holds the entry; what was held already instead, if so."""
         return await (await self._opened()).append(entry)
 
-    async def load(self, *, since_unix_s: float, limit_count: int) -> Sequence[StoredEstimate]:
+    async def load(self, *, since_unix_s: float, limit_count: int) -> Sequence[CountablePassage]:
         """Return what was received at or after a moment, oldest first."""
         return await (await self._opened()).load(since_unix_s=since_unix_s, limit_count=limit_count)
 

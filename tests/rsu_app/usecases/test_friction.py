@@ -10,14 +10,18 @@ from math import inf
 import numpy as np
 import pytest
 
+from roadgrip.features import NEWEST_TABLE, PROFILE_FLOOR, PROFILE_FRICTIONS_MU
 from roadgrip.reasons import Reason
-from roadgrip.records import AdvisoryReason, Confidence
+from roadgrip.records import AdvisoryReason, Confidence, NotCounted
 from rsu_app.domain.change import ChangePolicy
+from rsu_app.ports import CountablePassage
 from rsu_app.usecases import SectionFriction, UnitLimits
 from rsu_app.usecases.section_friction import NEWEST_COUNT
 from tests.bundles import CONFORMAL, make_manifest
-from tests.rsu_app.fakes import FakeClock, FakeModel, make_passage
-from tests.rsu_app.usecases.site import SECTION, Site, reason_of
+from tests.rsu_app.fakes import FakeClock, FakeModel, FakeStore, make_passage
+from tests.rsu_app.usecases.site import SECTION, Site, flags_of, reason_of
+
+GRIP_PROFILE_PLACES = [place for place, name in enumerate(NEWEST_TABLE.names) if name.startswith("grip_profile_")]
 
 
 def friction_of(site) -> SectionFriction:
@@ -215,18 +219,62 @@ def test_what_hardly_anybody_supports_is_provisional_and_its_advice_is_held():
     assert after.speed_mps == before.speed_mps
 
 
-def test_likelihoods_are_remembered_with_the_vehicles_and_forgotten_with_the_unit():
-    site = Site()
+def likelihoods_of_ice(values):
+    """The values of a passage, with a likelihood that peaks on ice."""
+    profile_ratio = -np.square(np.log(np.array(PROFILE_FRICTIONS_MU) / 0.12)) / (2.0 * 0.3**2)
+    changed = list(values)
+    for place, ratio in zip(GRIP_PROFILE_PLACES, np.maximum(profile_ratio, PROFILE_FLOOR).tolist(), strict=True):
+        changed[place] = float(np.float32(ratio))
+    return tuple(changed)
+
+
+class OldTableStore(FakeStore):
+    """Holds passages of a feature table that this software has never heard of."""
+
+    async def load(self, *, since_unix_s, limit_count):
+        loaded = await super().load(since_unix_s=since_unix_s, limit_count=limit_count)
+        return [CountablePassage(passage.estimate, "0" * 16, passage.values[:7]) for passage in loaded]
+
+
+def test_after_a_restart_likelihoods_still_tell_of_ice():
+    model = WaveringModel()
+    site = Site(model=model)
+
+    async def story():
+        model.wavers = True
+        for seed in range(30):
+            site.clock.advance(30.0)
+            passage = make_passage(SECTION, seed=seed, mu=0.6)
+            values = likelihoods_of_ice(passage.summary.values)
+            outcome = await site.unit.ingest_passage(replace(passage, summary=replace(passage.summary, values=values)))
+            assert flags_of(outcome) == NotCounted.NONE
+        model.wavers = False  # or it would not start
+        old_store = OldTableStore()
+        old_store.entries = site.store.entries
+        again, without = site.restarted(), Site(store=old_store, clock=site.clock)
+        assert [await one.unit.restore() for one in (again, without)] == [30, 30]
+        return again, without
+
+    again, without = asyncio.run(story())
+    state, restored = (one.unit._states[SECTION.section_id] for one in (site, again))  # noqa: SLF001 - what it holds
+    now_s = site.clock.monotonic_s()
+    assert restored.likelihoods.placed(now_s=now_s) == state.likelihoods.placed(now_s=now_s)
+    assert restored.window.rows.slowest_mps.tolist() == state.window.rows.slowest_mps.tolist()
+    before, after = site.advisory(), again.advisory()
+    assert before.reason is AdvisoryReason.LOWER_CONFIDENCE_BOUND
+    assert after.speed_mps == before.speed_mps
+    assert after.speed_mps < without.advisory().speed_mps
+
+
+def test_after_a_restart_estimates_of_a_forgotten_feature_table_count_without_their_likelihoods():
+    site = Site(store=OldTableStore())
 
     async def story():
         await traffic(site, mu_new=0.5, count=5, first_seed=100)
         again = site.restarted()
-        await again.unit.restore()
+        assert await again.unit.restore() == 5
         return again
 
-    again = asyncio.run(story())
-    state, restored = (one.unit._states[SECTION.section_id] for one in (site, again))  # noqa: SLF001 - what it holds
-    assert (len(state.likelihoods), len(restored.likelihoods)) == (5, 0)
-    assert len(restored.window.rows.mu) == 5
-    assert np.isfinite(state.window.rows.slowest_mps).all()
+    restored = asyncio.run(story()).unit._states[SECTION.section_id]  # noqa: SLF001 - what it holds
+    assert len(restored.likelihoods) == 0
     assert np.isnan(restored.window.rows.slowest_mps).all()

@@ -49,8 +49,21 @@ def test_loading_gives_the_newest_oldest_first(run):
         for entry in entries:
             await store.append(entry)
         loaded = await store.load(since_unix_s=NOON_UNIX_S + 1.0, limit_count=3)
-        assert list(loaded) == [entry.estimate for entry in entries[2:]]
-        assert list(await store.load(since_unix_s=NOON_UNIX_S + 4.0, limit_count=3)) == [entries[4].estimate]
+        assert [passage.estimate for passage in loaded] == [entry.estimate for entry in entries[2:]]
+        [newest] = await store.load(since_unix_s=NOON_UNIX_S + 4.0, limit_count=3)
+        assert newest.estimate == entries[4].estimate
+
+    run(story)
+
+
+def test_what_is_loaded_has_the_values_that_were_judged(run):
+    entry = make_entry(1)
+
+    async def story(store):
+        await store.append(entry)
+        [loaded] = await store.load(since_unix_s=0.0, limit_count=1)
+        assert loaded.table_digest == entry.passage.summary.table_digest
+        assert tuple(loaded.values.tolist()) == entry.passage.summary.values
 
     run(story)
 

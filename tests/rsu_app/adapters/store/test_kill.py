@@ -37,7 +37,7 @@ def stored_ids(database_path):
         store = open_store(database_path)
         loaded = await store.load(since_unix_s=0.0, limit_count=1_000_000)
         await store.close()
-        return [estimate.passage_id for estimate in loaded]
+        return [passage.estimate.passage_id for passage in loaded]
 
     return asyncio.run(story())
 

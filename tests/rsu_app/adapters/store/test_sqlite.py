@@ -39,7 +39,7 @@ def query(path, statement):
 
 
 async def load_all(store):
-    return await store.load(since_unix_s=0.0, limit_count=10_000)
+    return [passage.estimate for passage in await store.load(since_unix_s=0.0, limit_count=10_000)]
 
 
 def test_what_was_acknowledged_is_in_the_file(path):
@@ -89,7 +89,7 @@ def test_what_is_expected_of_the_error_comes_back_as_it_was(path, said):
     async def story():
         async with opened(path) as store:
             await store.append(replace(entry, estimate=estimate))
-            return await store.load(since_unix_s=0.0, limit_count=10)
+            return await load_all(store)
 
     assert asyncio.run(story()) == [estimate]
 
@@ -139,7 +139,7 @@ def test_loading_gives_the_newest_oldest_first(path):
             for seed, minutes in enumerate((5, 1, 3, 2, 4)):
                 await store.append(make_entry(seed, received_unix_s=NOON_UNIX_S + 60.0 * minutes))
             loaded = await store.load(since_unix_s=NOON_UNIX_S + 120.0, limit_count=3)
-            assert [estimate.left_unix_s - NOON_UNIX_S for estimate in loaded] == [180.0, 240.0, 300.0]
+            assert [passage.estimate.left_unix_s - NOON_UNIX_S for passage in loaded] == [180.0, 240.0, 300.0]
 
     asyncio.run(story())
 
