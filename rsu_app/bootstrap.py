@@ -26,6 +26,7 @@ from rsu_app.adapters.clocks import AcceleratedClock, SystemClock
 from rsu_app.domain.advisory import AdvisoryPolicy
 from rsu_app.domain.change import ChangePolicy
 from rsu_app.domain.interval import IntervalPolicy
+from rsu_app.domain.probing import ProbingPolicy
 from rsu_app.gateway import FrameGateway
 from rsu_app.intake import PassageIntake, TimedModel
 from rsu_app.observability import Metrics
@@ -94,6 +95,7 @@ def build(settings: Settings, *, metrics: Metrics, sections: tuple[RoadSection, 
             stale_after_s=settings.window.stale_after_s,
             valid_at_most_s=settings.window.valid_at_most_s,
         ),
+        probing_policy=ProbingPolicy(**settings.probing.model_dump()),
         change_policy=_change_policy(settings),
         limits=UnitLimits(
             window_s=settings.window.length_s,

@@ -11,15 +11,29 @@ import os
 import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
-from ipaddress import ip_address
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Any
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, Field, ValidationError
 from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict
 
 from roadgrip.errors import ConfigurationError
-from roadgrip.units import WINDOW_S, kph_to_mps
+from rsu_app.setting_groups import (
+    AdvisorySettings,
+    ChangeDetectionSettings,
+    ClockSettings,
+    DatabaseSettings,
+    FrameSettings,
+    HttpSettings,
+    IngestSettings,
+    LogSettings,
+    ModelSettings,
+    ProbingSettings,
+    SectionSettings,
+    SigningSettings,
+    UdpSettings,
+    WindowSettings,
+)
 
 if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
@@ -28,298 +42,6 @@ ENV_PREFIX = "ROADGRIP_"
 ENV_DELIMITER = "__"
 CONFIG_VARIABLE = "ROADGRIP_CONFIG"
 """Names the file of settings; no setting itself."""
-
-Port = Annotated[int, Field(ge=0, le=65_535)]
-"""A UDP or TCP port; 0 lets the machine choose, which tests use."""
-
-
-def _address(value: str) -> str:
-    if value:
-        ip_address(value)
-    return value
-
-
-Address = Annotated[str, AfterValidator(_address)]
-"""A literal IPv4 or IPv6 address: a unit beside a road must not hang on a name server."""
-
-
-class _Group(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-
-class DatabaseSettings(_Group):
-    """Where passages are kept, and for how long."""
-
-    path: Path = Field(default=Path("roadgrip.sqlite3"), description="SQLite file; its folder is made if missing.")
-    queue_limit_count: int = Field(
-        default=1_024, ge=1, le=100_000, description="Passages that may wait for a commit; more are refused as `busy`."
-    )
-    retention_s: float = Field(
-        default=90 * 86_400.0,
-        ge=WINDOW_S,
-        description="Stored passages older than this are deleted, never those of the window.",
-    )
-    rows_limit_count: int = Field(
-        default=1_000_000, ge=1_000, description="Passages that may be stored; the oldest make room."
-    )
-    prune_period_s: float = Field(default=600.0, ge=1.0, description="How often old passages are looked for.")
-
-
-class SectionSettings(_Group):
-    """One section the unit serves."""
-
-    file: str = Field(
-        min_length=1,
-        description="Path of a section file (`.json`), or the name of a packaged one, such as `long-turn`.",
-    )
-    winter_speed_mps: float | None = Field(
-        default=None,
-        ge=1.0,
-        le=60.0,
-        description="Winter speed of this section; left out, `advisory.winter_speed_mps` holds.",
-    )
-
-
-class ModelSettings(_Group):
-    """The model that turns a passage into friction."""
-
-    bundle_path: Path | None = Field(
-        default=None, description="Folder of a model bundle; left out, the packaged default is used."
-    )
-
-
-class WindowSettings(_Group):
-    """How many vehicles make an interval, and how long it holds."""
-
-    length_s: float = Field(default=WINDOW_S, ge=60.0, le=86_400.0, description="How long a passage counts.")
-    provisional_from_count: int = Field(
-        default=10, ge=1, description="Vehicles from which the interval is provisional; below it is insufficient."
-    )
-    recommended_from_count: int = Field(default=50, ge=1, description="Vehicles from which it is recommended.")
-    stale_after_s: float = Field(
-        default=1_800.0,
-        gt=0.0,
-        le=86_400.0,
-        description="Age of the newest passage from which the window says nothing about now.",
-    )
-    valid_at_most_s: float = Field(
-        default=300.0,
-        gt=0.0,
-        le=86_400.0,
-        description="Longest time a published interval may be used after it was read.",
-    )
-
-    @model_validator(mode="after")
-    def _in_order(self) -> WindowSettings:
-        if self.recommended_from_count < self.provisional_from_count:
-            message = "recommended_from_count must not be below provisional_from_count"
-            raise ValueError(message)
-        return self
-
-
-class ChangeDetectionSettings(_Group):
-    """Whether friction that changes within the hour cuts the window, and what it takes. Amounts are of ln mu."""
-
-    enabled: bool = Field(
-        default=False, description="Whether estimates from before a change of the friction stop counting."
-    )
-    clip_ratio: float = Field(
-        default=0.2, gt=0.0, le=2.0, description="No single vehicle's deviation adds more than this."
-    )
-    slack_ratio: float = Field(
-        default=0.11,
-        gt=0.0,
-        le=2.0,
-        description="What every deviation is lessened by; above what the wear of tyres spreads.",
-    )
-    drop_threshold_ratio: float = Field(default=0.5, gt=0.0, le=20.0, description="Sum at which a drop is believed.")
-    rise_threshold_ratio: float = Field(
-        default=1.0, gt=0.0, le=20.0, description="Sum at which a rise is believed; not below that of a drop."
-    )
-    reference_count: int = Field(
-        default=30, ge=1, le=200, description="Vehicles whose median is what was found before."
-    )
-    reference_from_count: int = Field(
-        default=6, ge=1, le=200, description="With fewer than this there is no telling what was found before."
-    )
-    lag_count: int = Field(
-        default=8, ge=1, le=200, description="Newest vehicles that are not yet part of what was found before."
-    )
-    kept_count: int = Field(default=10, ge=10, le=500, description="The newest vehicles that count whatever changed.")
-    watched_count: int = Field(
-        default=1_000, ge=500, le=1_000, description="The newest vehicles that are looked at; bounds the work."
-    )
-
-    @model_validator(mode="after")
-    def _in_order(self) -> ChangeDetectionSettings:
-        if not self.slack_ratio < self.clip_ratio:
-            message = "slack_ratio must lie below clip_ratio, or no change is ever seen"
-            raise ValueError(message)
-        if not self.drop_threshold_ratio <= self.rise_threshold_ratio:
-            message = "rise_threshold_ratio must not be below drop_threshold_ratio"
-            raise ValueError(message)
-        if self.reference_from_count > self.reference_count:
-            message = "reference_from_count must not be above reference_count"
-            raise ValueError(message)
-        return self
-
-
-class AdvisorySettings(_Group):
-    """How careful the advice is."""
-
-    winter_speed_mps: float = Field(
-        default=kph_to_mps(60.0),
-        ge=kph_to_mps(5.0),
-        le=60.0,
-        description="What is advised while too few vehicles passed or the unit cannot know better (default 60 km/h).",
-    )
-    utilisation_frac: float = Field(
-        default=0.6, gt=0.0, le=1.0, description="Share of the friction that the curve may use up."
-    )
-    rise_margin_mps: float = Field(
-        default=kph_to_mps(2.0),
-        ge=0.0,
-        le=10.0,
-        description="By how much the curve speed must exceed the next step of 5 km/h before the advice rises to it.",
-    )
-    valid_for_s: float = Field(
-        default=300.0, gt=0.0, le=86_400.0, description="How long an advice may be shown at most."
-    )
-
-
-class HttpSettings(_Group):
-    """HTTP: people, other machines, and vehicles over cellular."""
-
-    host: Address = Field(
-        default="127.0.0.1", description="Address to listen on; `0.0.0.0` opens the unit to its network."
-    )
-    port: Port = Field(default=8_080, description="TCP port.")
-    body_limit_bytes: int = Field(
-        default=65_536,
-        ge=4_096,
-        le=16_777_216,
-        description="Largest request body; larger ones get 413 without being read.",
-    )
-    connections_limit_count: int = Field(
-        default=512, ge=8, le=100_000, description="Connections at one time; more get 503."
-    )
-    stream_clients_limit_count: int = Field(
-        default=64, ge=1, le=10_000, description="Clients of the event stream at one time; more get 503."
-    )
-    stream_heartbeat_s: float = Field(
-        default=15.0,
-        gt=0.0,
-        le=300.0,
-        description="A silent event stream says so this often, so that a dead client is noticed.",
-    )
-    shutdown_s: int = Field(
-        default=5, ge=1, le=120, description="How long open requests may take to finish when the unit stops."
-    )
-
-
-class UdpSettings(_Group):
-    """UDP: frames as a V2X radio delivers them."""
-
-    enabled: bool = Field(default=True, description="Whether the unit listens for frames over UDP.")
-    host: Address = Field(
-        default="127.0.0.1", description="Address to listen on; `0.0.0.0` opens the unit to its network."
-    )
-    port: Port = Field(default=4_740, description="UDP port.")
-    broadcast_host: Address = Field(
-        default="",
-        description="Address that beacons and detections are sent to (unicast, broadcast or multicast); empty: none.",
-    )
-    broadcast_port: Port = Field(default=4_741, description="UDP port that beacons and detections are sent to.")
-    beacon_period_s: float = Field(
-        default=10.0, ge=0.0, le=3_600.0, description="How often each section is announced; 0 sends no beacons."
-    )
-    detections_per_s: float = Field(
-        default=5.0,
-        ge=0.1,
-        le=1_000.0,
-        description="Detections that are broadcast in a second, over all sections; more are refused as `busy`.",
-    )
-    receive_buffer_bytes: int = Field(
-        default=4_194_304,
-        ge=65_536,
-        description="Socket buffer asked for, so that a burst of vehicles is not dropped by the kernel.",
-    )
-
-
-class FrameSettings(_Group):
-    """Budgets of the exchange of frames; each bounds memory or work that a sender could cause."""
-
-    exchange_limit_count: int = Field(
-        default=4_096, ge=16, le=1_000_000, description="Passages whose frame budget is remembered at one time."
-    )
-    exchange_timeout_s: float = Field(
-        default=3_600.0, ge=60.0, le=86_400.0, description="How long the frame budget of a passage is remembered."
-    )
-    refusals_per_s: float = Field(
-        default=20.0,
-        ge=0.0,
-        le=10_000.0,
-        description="Most rejections sent per second over UDP; all are counted in the metrics.",
-    )
-
-
-class IngestSettings(_Group):
-    """How much work the unit takes on."""
-
-    in_flight_limit_count: int = Field(
-        default=256,
-        ge=1,
-        le=100_000,
-        description="Passages in work at one time, over UDP and HTTP; more are refused as `busy`.",
-    )
-
-
-class SigningSettings(_Group):
-    """COSE signatures on messages, in both directions."""
-
-    key_file: Path | None = Field(
-        default=None,
-        description="Ed25519 private key (PEM) that signs what the unit sends; left out, nothing is signed.",
-    )
-    trusted_keys_folder: Path | None = Field(
-        default=None,
-        description="Folder of Ed25519 public keys (`NAME.pem`); a signed message is checked against them.",
-    )
-    required: bool = Field(
-        default=False, description="Whether passages without a good signature are refused as `unsigned`."
-    )
-
-    @model_validator(mode="after")
-    def _trust_something(self) -> SigningSettings:
-        if self.required and self.trusted_keys_folder is None:
-            message = "required needs trusted_keys_folder, or no message could ever be accepted"
-            raise ValueError(message)
-        return self
-
-
-class ClockSettings(_Group):
-    """Time."""
-
-    speedup_ratio: float = Field(
-        default=1.0,
-        gt=0.0,
-        le=10_000.0,
-        description="Seconds per second. For demonstrations only; anything but 1 is logged loudly.",
-    )
-
-
-class LogSettings(_Group):
-    """Logs go to standard output."""
-
-    level: Literal["debug", "info", "warning", "error"] = Field(
-        default="info", description="Least severity that is written."
-    )
-    lines_limit_per_s: float = Field(
-        default=200.0, ge=1.0, description="Lines above this are dropped and counted; warnings and errors never."
-    )
-    style: Literal["json", "text"] = Field(
-        default="json", description="`json`: one object a line; `text`: for a person's eyes."
-    )
 
 
 class Settings(BaseSettings):
@@ -342,6 +64,7 @@ class Settings(BaseSettings):
     window: WindowSettings = WindowSettings()
     change_detection: ChangeDetectionSettings = ChangeDetectionSettings()
     advisory: AdvisorySettings = AdvisorySettings()
+    probing: ProbingSettings = ProbingSettings()
     http: HttpSettings = HttpSettings()
     udp: UdpSettings = UdpSettings()
     frames: FrameSettings = FrameSettings()

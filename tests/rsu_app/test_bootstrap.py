@@ -17,6 +17,7 @@ from roadgrip.section import GnssAnchor, build_section
 from rsu_app.adapters.http.app import create_app
 from rsu_app.adapters.store import standby
 from rsu_app.bootstrap import Parts, build, check_maps, load_keys, load_sections, observe, site_of_parts
+from rsu_app.domain.probing import ProbingPolicy
 from rsu_app.observability import Metrics
 from rsu_app.settings import load_settings
 from tests.bundles import make_bundle
@@ -175,6 +176,16 @@ def test_changes_are_looked_for_where_that_is_chosen(folder, enabled):
         interval = parts.unit.current_interval(section.section_id)
         assert isinstance(interval, FrictionInterval)
         assert interval.passages_count == (12 if enabled else 42)
+        await parts.unit.close()
+
+    asyncio.run(scenario())
+
+
+def test_what_is_chosen_about_probing_reaches_the_unit(folder):
+    async def scenario() -> None:
+        parts = parts_of(folder, "[probing]\nevidence_count = 25\nlikely_count = 30\n")
+        chosen = parts.unit._probing_policy  # noqa: SLF001 - what it does with it is the domain's to test
+        assert chosen == ProbingPolicy(evidence_count=25, likely_count=30)
         await parts.unit.close()
 
     asyncio.run(scenario())

@@ -5,6 +5,7 @@ from pydantic import ValidationError
 
 from roadgrip.errors import ConfigurationError
 from rsu_app.domain.change import ChangePolicy
+from rsu_app.domain.probing import ProbingPolicy
 from rsu_app.settings import Settings, load_settings, settings_rows, settings_table
 
 
@@ -65,6 +66,10 @@ def test_a_packaged_section_keeps_its_name(tmp_path):
         ("[change_detection]\nslack_ratio = 0.3\n", "change_detection: slack_ratio must lie below"),
         ("[change_detection]\nrise_threshold_ratio = 0.1\n", "change_detection: rise_threshold_ratio must not"),
         ("[change_detection]\nreference_from_count = 31\n", "change_detection: reference_from_count must not"),
+        ("[probing]\nnamed_frac = 1.0\n", "probing.named_frac"),
+        ("[probing]\ndriven_frac = 0.0\n", "probing.driven_frac"),
+        ("[probing]\nlikely_count = 201\n", "probing.likely_count"),
+        ("[probing]\nheard_after_s = inf\n", "probing.heard_after_s"),
         ("sections = []\n", "sections"),
         ("[http\n", "not TOML"),
         ("http = 3\n", "http"),
@@ -110,6 +115,16 @@ def test_the_settings_of_change_detection_are_what_the_detector_assumes():
     fields = Settings().change_detection.model_dump()
     assert fields.pop("enabled") is False
     assert ChangePolicy(**fields) == ChangePolicy()
+
+
+def test_the_settings_of_probing_are_what_the_advice_assumes():
+    assert ProbingPolicy(**Settings().probing.model_dump()) == ProbingPolicy()
+
+
+@pytest.mark.parametrize("name", ["evidence_count", "knowing_count", "likely_count", "sure_count"])
+def test_no_vehicle_is_not_enough_to_change_advice(tmp_path, name):
+    with pytest.raises(ConfigurationError, match=f"probing.{name}"):
+        load_settings(written(tmp_path, f"[probing]\n{name} = 0\n"))
 
 
 def test_the_example_configuration_is_the_defaults_spelt_out(project_root):
