@@ -24,7 +24,7 @@ from training.error_model import LEAST_MU, grow_error_trees, log_error_ratio
 from training.fit_parameters import FitParameters
 from training.regressor import RowIndices, estimate_mu, grow_trees
 from training.study.envelopes import Ordinary, driving_columns, learn_whole_envelope
-from training.study.folds import fold_numbers, side_by_side
+from training.study.folds import fold_numbers, road_folds, side_by_side
 from training.study.generalise.doubt import best_threshold
 from training.study.recipes import BEST_RECIPE, Boosted
 
@@ -175,12 +175,13 @@ def learned_drives(runs: Runs, *, seed: int) -> LearnedDrives:
     usable = runs.rows(order[runs.usable[order]])
     sections = np.array(usable.section_id)
     known = np.isin(sections, PAPER_ROADS)
-    names = sorted(set(sections[~known].tolist()))
-    if len(names) < FEWEST_RANDOM_ROADS:
-        message = f"{len(names)} random roads say nothing about the next one; at least {FEWEST_RANDOM_ROADS} are needed"
-        raise DatasetError(message)
-    fold_of = dict(zip(names, fold_numbers(len(names), FOLDS_COUNT, seed=seed).tolist(), strict=True))
-    fold = np.array([fold_of.get(name, 0) for name in sections.tolist()], dtype=np.intp)
+    roads_count = len(set(sections[~known].tolist()))
+    if roads_count < FEWEST_RANDOM_ROADS:
+        raise DatasetError(
+            f"{roads_count} random roads say nothing about the next one; at least {FEWEST_RANDOM_ROADS} are needed"
+        )
+    fold = np.empty(len(sections), dtype=np.intp)
+    fold[~known] = road_folds(sections[~known].tolist(), seed=seed, folds_count=FOLDS_COUNT)
     drives, drive = np.unique(np.array(usable.run_key)[known], return_inverse=True)
     fold[known] = fold_numbers(len(drives), FOLDS_COUNT, seed=seed)[drive]
     return LearnedDrives(usable, fold)

@@ -11,7 +11,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from roadgrip.units import FloatArray
+from roadgrip.units import BoolArray, FloatArray
 from training.accuracy import mape_ratio
 from training.dataset import DatasetError, Runs
 from training.fit_parameters import FitParameters
@@ -97,15 +97,20 @@ def rows_by_name(runs: Runs) -> RowIndices:
     return order[runs.usable[order]]
 
 
+def roads_of(runs: Runs, rows: RowIndices) -> tuple[str, ...]:
+    """Return the road of each of some rows. (m,)"""
+    return tuple(runs.section_id[row] for row in rows.tolist())
+
+
 def fold_numbers(rows_count: int, folds_count: int, *, seed: int) -> RowIndices:
     """Return which fold each row is judged in: chance deals them out, as evenly as it goes. (rows,)"""
     return np.random.default_rng([seed, folds_count]).permutation(np.arange(rows_count) % folds_count)
 
 
-def road_folds(section_ids: Sequence[str], *, seed: int) -> RowIndices:
+def road_folds(section_ids: Sequence[str], *, seed: int, folds_count: int = FOLDS_COUNT) -> RowIndices:
     """Return which fold each row is judged in, all rows of a road in the same. (n,)"""
     names = sorted(set(section_ids))
-    fold_of = dict(zip(names, fold_numbers(len(names), FOLDS_COUNT, seed=seed).tolist(), strict=True))
+    fold_of = dict(zip(names, fold_numbers(len(names), folds_count, seed=seed).tolist(), strict=True))
     return np.array([fold_of[name] for name in section_ids], dtype=np.intp)
 
 
@@ -137,20 +142,18 @@ def cross_validated(
     label_mu: FloatArray,
     *,
     seed: int,
-    folds_count: int = FOLDS_COUNT,
     on_fold: Callable[[int], None] | None = None,
 ) -> Judged:
-    """Return the estimate of every row by a regressor that learned from the other folds.
+    """Return the estimate of every row by a regressor that learned from seven of the paper's eight folds.
 
     Args:
         learn: How to learn; called once for each fold, from several threads.
         features: (n, columns)
         label_mu: The truth. (n,)
         seed: Deals the rows to the folds.
-        folds_count: How many.
         on_fold: Called after each fold with the number of those done.
     """
-    fold = fold_numbers(len(label_mu), folds_count, seed=seed)
+    fold = fold_numbers(len(label_mu), FOLDS_COUNT, seed=seed)
     return Judged(label_mu, estimates_by_strangers(learn, features, label_mu, fold=fold, on_fold=on_fold), fold)
 
 
@@ -180,6 +183,7 @@ def estimates_by_strangers(
     label_mu: FloatArray,
     *,
     fold: RowIndices,
+    taught: BoolArray | None = None,
     on_fold: Callable[[int], None] | None = None,
 ) -> FloatArray:
     """Return the estimate of every row by a regressor that learned from the other folds. (n,)
@@ -189,13 +193,15 @@ def estimates_by_strangers(
         features: (n, columns)
         label_mu: The truth. (n,)
         fold: In which each row is judged. (n,)
+        taught: Rows that may be learned from; all if None. (n,)
         on_fold: Called after each fold with the number of those done.
     """
     estimate = np.full(len(label_mu), np.nan)
 
     def judge(number: int) -> None:
         out = fold == number
-        estimate[out] = learn(features[~out], label_mu[~out])(features[out])
+        learned = ~out if taught is None else taught & ~out
+        estimate[out] = learn(features[learned], label_mu[learned])(features[out])
 
     side_by_side([partial(judge, number) for number in np.unique(fold).tolist()], on_done=on_fold)
     return estimate

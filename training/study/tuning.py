@@ -20,7 +20,7 @@ from training.accuracy import mape_ratio
 from training.dataset import DatasetError, Runs
 from training.fit_parameters import Target
 from training.regressor import RowIndices
-from training.study.folds import estimates_by_strangers, fold_numbers, rows_by_name
+from training.study.folds import estimates_by_strangers, fold_numbers, roads_of, rows_by_name
 from training.study.recipes import Boosted, Recipe
 from vehicle_client.simulator.plan import SensorGrade
 
@@ -102,7 +102,7 @@ def grounds_of(runs: Runs, features: tuple[str, ...], *, roads_count: int, seed:
         DatasetError: There are too few roads.
     """
     rows = rows_by_name(runs)
-    names, road = np.unique(np.array(runs.section_id)[rows], return_inverse=True)
+    names, road = np.unique(roads_of(runs, rows), return_inverse=True)
     count = min(roads_count, int(ROADS_FRAC * len(names)))
     if count < FOLDS_COUNT:
         raise DatasetError(f"{len(names)} roads are too few to search on some and be judged on others")

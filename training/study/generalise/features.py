@@ -13,14 +13,8 @@ from training.fit_parameters import FitParameters, Target
 from training.regressor import RowIndices, grow_trees
 from training.study.chapter import Arrays, Cell, Chapter, Claim, Result, Table, Verdict, Workbench
 from training.study.distributions import per_cent
-from training.study.folds import RANDOM_ROADS_SET, estimates_by_strangers, learner, road_folds, rows_by_name
-from training.study.generalise.held_out import (
-    HIGH_UTILISATION_RATIO,
-    UTILISATION_BANDS,
-    band_name,
-    band_of,
-    mean_by_road,
-)
+from training.study.folds import RANDOM_ROADS_SET, estimates_by_strangers, learner, road_folds, roads_of, rows_by_name
+from training.study.generalise.held_out import HIGH_UTILISATION_RATIO, by_use, mean_by_road
 from training.study.paper_features import PAPER_FEATURES
 from training.study.picture import Axis, Bars
 from training.study.recipes import BEST_RECIPE, FIRST_GUESS, Estimator, Learner, Recipe, mends_first_guess
@@ -180,7 +174,7 @@ def compute(bench: Workbench, grade: SensorGrade) -> Result:
     runs = bench.runs(RANDOM_ROADS_SET, grade)
     rows = rows_by_name(runs)
     label, used = runs.labels["label_mu"][rows], runs.labels["peak_utilisation_ratio"][rows]
-    roads = tuple(runs.section_id[i] for i in rows.tolist())
+    roads = roads_of(runs, rows)
     judged = recipes()
     error: dict[str, FloatArray] = {}
     for done, (name, recipe) in enumerate(judged.items()):
@@ -188,7 +182,7 @@ def compute(bench: Workbench, grade: SensorGrade) -> Result:
         error[name] = np.abs(_estimates(bench, grade, recipe) / label - 1.0)
     spread = {name: mean_by_road(values - error[ALL], roads) for name, values in error.items()}
     standard = {name: float(values.std(ddof=1) / np.sqrt(len(values))) for name, values in spread.items()}
-    bands = {band_name(band): band_of(used, band) for band in UTILISATION_BANDS}
+    bands = by_use(used)
     mape = {name: float(values.mean()) for name, values in error.items()}
     ranked = _ranked(bench, grade)
     figures = {f"mape.{name}": value for name, value in mape.items()}
@@ -263,7 +257,7 @@ def _estimates(bench: Workbench, grade: SensorGrade, recipe: Recipe) -> FloatArr
     def work() -> Arrays:
         runs = bench.runs(RANDOM_ROADS_SET, grade)
         rows = rows_by_name(runs)
-        fold = road_folds([runs.section_id[i] for i in rows.tolist()], seed=bench.seed) % JUDGED_FOLDS_COUNT
+        fold = road_folds(roads_of(runs, rows), seed=bench.seed) % JUDGED_FOLDS_COUNT
         features, label = runs.columns(recipe.features)[rows], runs.labels["label_mu"][rows]
         return {"mu": estimates_by_strangers(learner(bench, recipe.learn), features, label, fold=fold)}
 

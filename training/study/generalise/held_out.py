@@ -28,6 +28,7 @@ from training.study.folds import (
     learner,
     paper_estimates,
     road_folds,
+    roads_of,
     rows_by_name,
 )
 from training.study.recipes import Estimator, Learner, Recipe
@@ -118,7 +119,7 @@ class HeldOut:
     @property
     def roads(self) -> tuple[str, ...]:
         """The road of each. (m,)"""
-        return tuple(self.runs.section_id[i] for i in self.rows.tolist())
+        return roads_of(self.runs, self.rows)
 
     def of_all_runs(self, values: FloatArray) -> FloatArray:
         """Return one value, or one line of them, for every run of the data set; NaN where none was judged. (runs, ...)
@@ -145,21 +146,20 @@ class HeldOut:
         )
 
 
-def held_out(bench: Workbench, grade: SensorGrade, recipe: Recipe, *, data_set: str = RANDOM_ROADS_SET) -> HeldOut:
-    """Return the passages of a data set of many roads, each judged by regressors that learned from other roads.
+def held_out(bench: Workbench, grade: SensorGrade, recipe: Recipe) -> HeldOut:
+    """Return the passages on random roads, each judged by regressors that learned from other roads.
 
     Args:
         bench: Where the data comes from.
         grade: Sensors.
         recipe: How to learn, and from which features.
-        data_set: Its name.
     """
 
     def work() -> Arrays:
-        runs = bench.runs(data_set, grade)
+        runs = bench.runs(RANDOM_ROADS_SET, grade)
         rows = rows_by_name(runs)
         features, label = runs.columns(recipe.features)[rows], runs.labels["label_mu"][rows]
-        fold = road_folds([runs.section_id[i] for i in rows.tolist()], seed=bench.seed)
+        fold = road_folds(roads_of(runs, rows), seed=bench.seed)
         bench.report(f"unseen roads, {recipe.name}, {grade}", 0, 2)
         mu = estimates_by_strangers(learner(bench, recipe.learn), features, label, fold=fold)
         bench.report(f"unseen roads, {recipe.name}, {grade}", 1, 2)
@@ -168,8 +168,8 @@ def held_out(bench: Workbench, grade: SensorGrade, recipe: Recipe, *, data_set: 
         )
         return _arrays(rows, fold, mu, expected)
 
-    found = bench.remembered(f"held-out-{data_set}-{grade}-{recipe.key}-{bench.seed}", work)
-    return _held_out(bench.runs(data_set, grade), found)
+    found = bench.remembered(f"held-out-{RANDOM_ROADS_SET}-{grade}-{recipe.key}-{bench.seed}", work)
+    return _held_out(bench.runs(RANDOM_ROADS_SET, grade), found)
 
 
 def on_other_roads(bench: Workbench, grade: SensorGrade, recipe: Recipe, *, data_set: str) -> HeldOut:
@@ -257,6 +257,15 @@ def surest(expected_error_ratio: FloatArray, *, kept_frac: float) -> BoolArray:
 def band_of(values: FloatArray, band: tuple[float, float]) -> BoolArray:
     """Return which values lie in a band, its lower edge included. (m,)"""
     return (values >= band[0]) & (values < band[1])
+
+
+def by_use(utilisation_ratio: FloatArray) -> dict[str, BoolArray]:
+    """Return which passages lie in each of `UTILISATION_BANDS`, by the band's name; a band may be empty. Each (m,)
+
+    Args:
+        utilisation_ratio: Largest share of the grip that each used. (m,)
+    """
+    return {band_name(band): band_of(utilisation_ratio, band) for band in UTILISATION_BANDS}
 
 
 def band_name(band: tuple[float, float], *, unit: str = "") -> str:

@@ -12,7 +12,7 @@ from training.accuracy import mape_ratio
 from training.dataset import DatasetError
 from training.study.chapter import Arrays, Cell, Chapter, Claim, Result, Table, Verdict, Workbench
 from training.study.distributions import per_cent
-from training.study.folds import RANDOM_ROADS_SET, learner, rows_by_name, side_by_side
+from training.study.folds import RANDOM_ROADS_SET, learner, roads_of, rows_by_name, side_by_side
 from training.study.paper_features import PAPER_FEATURES
 from training.study.picture import Axis, Line, Lines
 from training.study.recipes import BEST_RECIPE, PAPER_RECIPE, Recipe
@@ -108,7 +108,7 @@ def _curve(bench: Workbench, grade: SensorGrade, recipe: Recipe) -> Arrays:
         runs = bench.runs(RANDOM_ROADS_SET, grade)
         rows = rows_by_name(runs)
         features, label = runs.columns(recipe.features)[rows], runs.labels["label_mu"][rows]
-        roads, road = np.unique(np.array(runs.section_id)[rows], return_inverse=True)
+        roads, road = np.unique(roads_of(runs, rows), return_inverse=True)
         dealt = np.random.default_rng([bench.seed, len(roads)]).permutation(len(roads))
         judged_count = max(1, round(JUDGED_FRAC * len(roads)))
         judged, rest = np.isin(road, dealt[:judged_count]), dealt[judged_count:]

@@ -17,18 +17,18 @@ from rsu_app.domain.judgement import Judgement, judgement
 from training.bundling import learn_envelope
 from training.dataset import Runs, joined
 from training.designs import PAPER_ROADS
-from training.error_model import LEAST_MU
+from training.error_model import log_error_ratio
 from training.regressor import RowIndices
 from training.study.chapter import Arrays, Workbench
 from training.study.envelopes import Ordinary, driving_columns, learn_whole_envelope
 from training.study.folds import (
     PAPER_SET,
     RANDOM_ROADS_SET,
+    estimates_by_strangers,
     fold_numbers,
     learner,
     road_folds,
     rows_by_name,
-    side_by_side,
 )
 from training.study.generalise.held_out import EXPECTED_ERROR, LEAST_ERROR_RATIO
 from training.study.recipes import Estimator, Recipe
@@ -139,44 +139,22 @@ def gathered(bench: Workbench, grade: SensorGrade) -> Gathered:
     return Gathered(runs, np.array(names), fold)
 
 
-@dataclass(frozen=True, slots=True)
-class Strange:
-    """What regressors say of drives that they were not taught, nor other drives on that road if it is a random one.
+def strangers_answers(bench: Workbench, grade: SensorGrade, teaching: Teaching) -> Answers:
+    """Return what strangers say of all gathered drives, whether regressors are taught with such drives or not.
 
-    Attributes:
-        mu: Friction. (n,)
-        expected_error_ratio: Magnitude of the error to expect, on the logarithm. (n,)
+    They were taught neither the drive nor, if its road is a random one, other drives on it.
     """
-
-    mu: FloatArray
-    expected_error_ratio: FloatArray
-
-
-def strange(bench: Workbench, grade: SensorGrade, teaching: Teaching) -> Strange:
-    """Return what such regressors say of all gathered drives, whether they are taught with such drives or not."""
 
     def work() -> Arrays:
         drives = gathered(bench, grade)
         features, taught = drives.runs.columns(teaching.recipe.features), drives.of(*teaching.data_sets)
-        mu, expected = np.full(len(features), np.nan), np.full(len(features), np.nan)
-
-        def estimate(fold: int) -> None:
-            out = drives.fold == fold
-            learned = taught & ~out
-            mu[out] = learner(bench, teaching.recipe.learn)(features[learned], drives.label_mu[learned])(features[out])
-
-        def expect(fold: int) -> None:
-            out = drives.fold == fold
-            learned = taught & ~out
-            expected[out] = learner(bench, EXPECTED_ERROR)(features[learned], miss[learned])(features[out])
-
-        side_by_side([partial(estimate, fold) for fold in range(FOLDS_COUNT)])
-        miss = _miss(mu, drives.label_mu)
-        side_by_side([partial(expect, fold) for fold in range(FOLDS_COUNT)])
+        by_strangers = partial(estimates_by_strangers, fold=drives.fold, taught=taught)
+        mu = by_strangers(learner(bench, teaching.recipe.learn), features, drives.label_mu)
+        expected = by_strangers(learner(bench, EXPECTED_ERROR), features, log_error_ratio(mu, drives.label_mu))
         return {"mu": mu, "expected_error_ratio": np.maximum(expected, LEAST_ERROR_RATIO)}
 
     found = bench.remembered(f"loop-strange-{grade}-{teaching.key}-{bench.seed}", work)
-    return Strange(found["mu"], found["expected_error_ratio"])
+    return Answers(found["mu"], found["expected_error_ratio"])
 
 
 def loop_model(bench: Workbench, grade: SensorGrade, teaching: Teaching) -> LoopModel:
@@ -189,13 +167,13 @@ def loop_model(bench: Workbench, grade: SensorGrade, teaching: Teaching) -> Loop
         grade: Sensors.
         teaching: What it is taught.
     """
-    drives, judged = gathered(bench, grade), strange(bench, grade, teaching)
+    drives, judged = gathered(bench, grade), strangers_answers(bench, grade, teaching)
     taught = drives.of(*teaching.data_sets)
     table = _table_of(teaching.recipe)
     features, label_mu = drives.runs.columns(teaching.recipe.features)[taught], drives.label_mu[taught]
     return LoopModel(
         friction=learner(bench, teaching.recipe.learn)(features, label_mu),
-        expected_error=learner(bench, EXPECTED_ERROR)(features, _miss(judged.mu[taught], label_mu)),
+        expected_error=learner(bench, EXPECTED_ERROR)(features, log_error_ratio(judged.mu[taught], label_mu)),
         places=NEWEST_TABLE.columns(teaching.recipe.features),
         table_places=NEWEST_TABLE.columns_of(table),
         manifest=ModelManifest(
@@ -247,7 +225,7 @@ class Taught:
 
 def what_is_taught(bench: Workbench, grade: SensorGrade, teaching: Teaching) -> Taught:
     """Return what a teaching comes to; envelopes are judged by one fold, the estimates by all."""
-    drives, judged = gathered(bench, grade), strange(bench, grade, teaching)
+    drives, judged = gathered(bench, grade), strangers_answers(bench, grade, teaching)
     error_ratio = np.abs(judged.mu / drives.label_mu - 1.0)
     meant = _calibrated(drives, judged, drives.of(*teaching.data_sets))
     doubtful = judged.expected_error_ratio > meant.doubtful_above_ratio
@@ -274,10 +252,10 @@ def what_is_taught(bench: Workbench, grade: SensorGrade, teaching: Teaching) -> 
     )
 
 
-def _calibrated(drives: Gathered, judged: Strange, taught: BoolArray) -> Conformal:
+def _calibrated(drives: Gathered, judged: Answers, taught: BoolArray) -> Conformal:
     """Return what expected errors mean, as for a bundle: by random roads that nobody had learned. `taught`: (n,)"""
     random = taught & ~np.isin(drives.runs.section_id, PAPER_ROADS)
-    return calibrated(Answers(judged.mu, judged.expected_error_ratio), drives.runs.labels, rows=random)
+    return calibrated(judged, drives.runs.labels, rows=random)
 
 
 def _ordinary(drives: Gathered, learned: BoolArray, table: FeatureTable, *, seed: int) -> OrdinaryDriving:
@@ -296,7 +274,3 @@ def _ordinary(drives: Gathered, learned: BoolArray, table: FeatureTable, *, seed
 def _table_of(recipe: Recipe) -> FeatureTable:
     """Return the oldest feature table that a recipe's features are of: what a vehicle sends for it."""
     return next(table for table in TABLES.values() if set(recipe.features) <= set(table.names))
-
-
-def _miss(mu: FloatArray, label_mu: FloatArray) -> FloatArray:
-    return np.abs(np.log(np.maximum(mu, LEAST_MU) / label_mu))

@@ -34,14 +34,7 @@ from training.study.batches import (
 from training.study.chapter import Arrays, Chapter, Claim, Result, Table, Verdict, Workbench
 from training.study.chapter import Cell as TableCell
 from training.study.folds import RANDOM_ROADS_SET, learner
-from training.study.generalise.held_out import (
-    UTILISATION_BANDS,
-    HeldOut,
-    band_name,
-    band_of,
-    held_out,
-    on_other_roads,
-)
+from training.study.generalise.held_out import HeldOut, by_use, held_out, on_other_roads
 from training.study.generalise.mean_features import learned_for_windows
 from training.study.generalise.pooling import CONFIGS, passages_of
 from training.study.generalise.rules import MEDIAN, POLICY, REFINED, RULES, WEIGHTED, interval_of, rule_on_rows
@@ -303,12 +296,11 @@ def _use_ratio(cells: tuple[Cell, ...], runs: Runs) -> FloatArray:
 
 def _table_by_use(recipe_name: str, found: Errors, *, use_ratio: FloatArray) -> Table:
     rows: list[tuple[TableCell, ...]] = []
-    for band in UTILISATION_BANDS:
-        chosen = np.flatnonzero(band_of(use_ratio, band)).tolist()
-        if chosen:
-            cells: list[TableCell] = [band_name(band), len(chosen)]
+    for band, chosen in by_use(use_ratio).items():
+        if chosen.any():
+            cells: list[TableCell] = [band, int(chosen.sum())]
             for name in (MEDIAN, CHOSEN):
-                errors = [found[name, 50][i] for i in chosen]
+                errors = [found[name, 50][i] for i in np.flatnonzero(chosen).tolist()]
                 cells += [
                     100.0 * float(np.mean([abs(one.bias_ratio) for one in errors])),
                     100.0 * worst_cell(errors).p95_ratio,

@@ -8,13 +8,13 @@ import numpy as np
 
 from roadgrip.units import BoolArray
 from training.accuracy import mape_ratio
-from training.dataset import Runs
 from training.study.chapter import Arrays, Cell, Chapter, Claim, Result, Table, Verdict, Workbench
 from training.study.distributions import per_cent
-from training.study.folds import RANDOM_ROADS_SET, estimates_by_strangers, learner, road_folds, rows_by_name
-from training.study.generalise.held_out import HIGH_UTILISATION_RATIO, UTILISATION_BANDS, band_name, band_of
+from training.study.folds import RANDOM_ROADS_SET, estimates_by_strangers, learner, road_folds, roads_of, rows_by_name
+from training.study.generalise.held_out import HIGH_UTILISATION_RATIO, UTILISATION_BANDS, band_name, by_use
 from training.study.picture import Axis, Bars
 from training.study.recipes import BEST_RECIPE, Recipe
+from training.study.sources import data_set
 from training.study.wording import per_cent_words
 from vehicle_client.simulator.plan import SensorGrade
 
@@ -31,6 +31,7 @@ SETS: Mapping[SensorGrade, Mapping[str, str]] = {
     SensorGrade.IDEAL: {EXACT: RANDOM_ROADS_SET},
 }
 """Cars by what they know of the errors of their sensors, and the data set with their drives."""
+BANDS = tuple(map(band_name, UTILISATION_BANDS))
 LIMITING_FRAC = 0.2
 """If half the errors of the sensors take more of the error away than this, they are what limits."""
 
@@ -38,36 +39,27 @@ LIMITING_FRAC = 0.2
 def compute(bench: Workbench, grade: SensorGrade) -> Result:
     """Learn and judge on the same roads with better and better sensors."""
     roads = _roads(bench, grade)
-    found = {name: _judged(bench, grade, name, data_set, roads) for name, data_set in SETS[grade].items()}
-    figures: dict[str, float] = {}
-    rows: list[tuple[Cell, ...]] = []
-    for name, one in found.items():
-        everything = np.ones(len(one["mu"]), dtype=np.bool_)
-        parts = {
-            "mape": everything,
-            "mape_util60": one["utilisation_ratio"] >= HIGH_UTILISATION_RATIO,
-            **{f"mape.{band_name(band)}": band_of(one["utilisation_ratio"], band) for band in UTILISATION_BANDS},
-        }
-        errors = {part: _mape_ratio(one, chosen) for part, chosen in parts.items()}
-        figures |= {f"{part}.{name}": value for part, value in errors.items() if np.isfinite(value)}
-        rows.append((f"cars {name}", *(per_cent(value) for value in errors.values()), len(everything)))
+    found = {name: _judged(bench, grade, name, set_name, roads) for name, set_name in SETS[grade].items()}
+    errors = {name: _errors_of(one) for name, one in found.items()}
+    rows: list[tuple[Cell, ...]] = [
+        (f"cars {name}", *map(per_cent, parts.values()), len(found[name]["mu"])) for name, parts in errors.items()
+    ]
     return Result(
-        figures=figures,
+        figures={
+            f"{part}.{name}": value
+            for name, parts in errors.items()
+            for part, value in parts.items()
+            if np.isfinite(value)
+        },
         sizes={
             "roads": len(roads),
             "seed": bench.seed,
-            **{f"passages, cars {n}": len(f["mu"]) for n, f in found.items()},
+            **{f"passages, cars {name}": len(one["mu"]) for name, one in found.items()},
         },
         tables=(
             Table(
                 "MAPE on roads never seen by what cars know of their sensors, in %",
-                (
-                    "cars",
-                    "all",
-                    f"use {HIGH_UTILISATION_RATIO:g} and more",
-                    *(f"use {band_name(band)}" for band in UTILISATION_BANDS),
-                    "passages",
-                ),
+                ("cars", "all", f"use {HIGH_UTILISATION_RATIO:g} and more", *(f"use {b}" for b in BANDS), "passages"),
                 tuple(rows),
                 note="Each line learned and judged on the same roads, by folds of roads. Half the errors: of sensors "
                 "and of the map.",
@@ -78,38 +70,45 @@ def compute(bench: Workbench, grade: SensorGrade) -> Result:
                 f"Error on roads never seen by use of the grip, {grade} sensors",
                 "largest share of the grip used",
                 Axis("MAPE in %", low=0.0),
-                tuple(band_name(band) for band in UTILISATION_BANDS),
+                BANDS,
                 tuple(
-                    (
-                        f"cars {name}",
-                        tuple(
-                            per_cent(figures.get(f"mape.{band_name(band)}.{name}", np.nan))
-                            for band in UTILISATION_BANDS
-                        ),
-                    )
-                    for name in found
+                    (f"cars {name}", tuple(per_cent(parts[f"mape.{band}"]) for band in BANDS))
+                    for name, parts in errors.items()
                 ),
             ),
         ),
     )
 
 
+def _errors_of(found: Arrays) -> dict[str, float]:
+    """Return the error over all passages and over parts of them, by the names of the figures; NaN for an empty part."""
+    use_ratio = found["utilisation_ratio"]
+    return {
+        "mape": mape_ratio(found["label_mu"], found["mu"]),
+        "mape_util60": _mape_ratio(found, use_ratio >= HIGH_UTILISATION_RATIO),
+        **{f"mape.{band}": _mape_ratio(found, chosen) for band, chosen in by_use(use_ratio).items()},
+    }
+
+
 def _roads(bench: Workbench, grade: SensorGrade) -> tuple[str, ...]:
-    """Return the roads that all data sets of a grade have."""
-    return tuple(sorted(set.intersection(*(set(bench.runs(name, grade).section_id) for name in SETS[grade].values()))))
+    """Return the roads that the data sets of all grades have: the first of the random ones."""
+    fewest = data_set(NEW_CARS_SET)
+    size = fewest.quick_size if bench.quick else fewest.size
+    shared = set.intersection(*(set(bench.runs(name, grade).section_id) for name in SETS[grade].values()))
+    return tuple(sorted(shared)[: size.random_roads_count])
 
 
-def _judged(bench: Workbench, grade: SensorGrade, name: str, data_set: str, roads: tuple[str, ...]) -> Arrays:
+def _judged(bench: Workbench, grade: SensorGrade, name: str, set_name: str, roads: tuple[str, ...]) -> Arrays:
     def work() -> Arrays:
-        runs = bench.runs(data_set, grade)
-        rows = _rows(runs, roads)
-        fold = road_folds([runs.section_id[i] for i in rows.tolist()], seed=bench.seed)
+        runs = bench.runs(set_name, grade)
+        rows = rows_by_name(runs)
+        rows = rows[np.isin(roads_of(runs, rows), roads)]
+        fold = road_folds(roads_of(runs, rows), seed=bench.seed)
         label_mu = runs.labels["label_mu"][rows]
-        features = runs.columns(RECIPE.features)[rows]
         return {
             "mu": estimates_by_strangers(
                 learner(bench, RECIPE.learn),
-                features,
+                runs.columns(RECIPE.features)[rows],
                 label_mu,
                 fold=fold,
                 on_fold=lambda done: bench.report(f"cars {name}, {grade}", done, int(fold.max()) + 1),
@@ -118,12 +117,7 @@ def _judged(bench: Workbench, grade: SensorGrade, name: str, data_set: str, road
             "utilisation_ratio": runs.labels["peak_utilisation_ratio"][rows],
         }
 
-    return bench.remembered(f"sensors-{data_set}-{grade}-{len(roads)}-{RECIPE.key}-{bench.seed}", work)
-
-
-def _rows(runs: Runs, roads: tuple[str, ...]) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
-    rows = rows_by_name(runs)
-    return rows[np.isin(np.array(runs.section_id)[rows], roads)]
+    return bench.remembered(f"sensors-{set_name}-{grade}-{len(roads)}-{RECIPE.key}-{bench.seed}", work)
 
 
 def _mape_ratio(found: Arrays, chosen: BoolArray) -> float:

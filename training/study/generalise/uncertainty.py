@@ -21,6 +21,7 @@ from training.study.generalise.held_out import (
     HeldOut,
     band_name,
     band_of,
+    by_use,
     held_out,
     mean_by_road,
     surest,
@@ -29,13 +30,9 @@ from training.study.picture import Axis, Bars, Line, Lines, Picture
 from training.study.recipes import BEST_RECIPE
 from training.study.wording import by_grade, leading_grade, per_cent_words
 from training.table_figures import holds
-from training.table_models import FRICTION_EDGES_MU, Answers, calibrated
+from training.table_models import COVERAGE_FRAC, FRICTION_EDGES_MU, LITTLE_USE_RATIO, Answers, calibrated
 from vehicle_client.simulator.plan import SensorGrade
 
-COVERAGE_FRAC = 0.9
-"""How often an interval shall hold the truth."""
-CENSORED_BELOW_RATIO = 1.0 / 3.0
-"""A passage that used a smaller share of the grip shall say "at least"."""
 DECILES_COUNT = 10
 RIGHT_RATIO = 1.25
 """Errors that are found are about those expected if no tenth differs by a larger factor."""
@@ -72,7 +69,7 @@ def compute(bench: Workbench, grade: SensorGrade) -> Result:
             "passages": len(judged),
             "roads": len(set(judged.roads)),
             "folds, by road": FOLDS_COUNT,
-            f"passages that used less than {CENSORED_BELOW_RATIO:.2f} of the grip": int(_shy(judged).sum()),
+            f"passages that used less than {LITTLE_USE_RATIO:.2f} of the grip": int(_shy(judged).sum()),
             "seed": bench.seed,
         },
         tables=(
@@ -132,7 +129,7 @@ def recommended(judged: HeldOut) -> Conformal:
 
 
 def _shy(judged: HeldOut) -> BoolArray:
-    return judged.utilisation_ratio < CENSORED_BELOW_RATIO
+    return judged.utilisation_ratio < LITTLE_USE_RATIO
 
 
 def _kept_mape(judged: HeldOut, signal: FloatArray) -> float:
@@ -158,12 +155,17 @@ def _interval_figures(judged: HeldOut, ways: Mapping[str, Intervals]) -> dict[st
     return figures
 
 
+def _doubtful(judged: HeldOut, advice: Conformal) -> BoolArray:
+    """Return which passages only say "at least". (m,)"""
+    return judged.expected_error_ratio > advice.doubtful_above_ratio
+
+
 def _bound(judged: HeldOut, advice: Conformal) -> FloatArray:
     return judged.mu * np.exp(-advice.quantile * judged.expected_error_ratio)
 
 
 def _censoring_figures(judged: HeldOut, advice: Conformal) -> dict[str, float]:
-    shy, doubtful = _shy(judged), judged.expected_error_ratio > advice.doubtful_above_ratio
+    shy, doubtful = _shy(judged), _doubtful(judged, advice)
     bound, demand = _bound(judged, advice), judged.column("demand_q100_mu")
     use = seeming_use_ratio(judged)
     figures = {"used_below": -best_threshold(-use, shy)}
@@ -181,8 +183,7 @@ def _censoring_figures(judged: HeldOut, advice: Conformal) -> dict[str, float]:
 
 def _stated(judged: HeldOut, advice: Conformal) -> BoolArray:
     """Return where what is said holds: of an "at least" the bound, of the others the interval. (m,)"""
-    answers = Answers(judged.mu, judged.expected_error_ratio)
-    return holds(answers, judged.label_mu, advice)
+    return holds(Answers(judged.mu, judged.expected_error_ratio), judged.label_mu, advice)
 
 
 def _groups(judged: HeldOut) -> dict[str, BoolArray]:
@@ -191,8 +192,8 @@ def _groups(judged: HeldOut) -> dict[str, BoolArray]:
         f"friction {band_name(band)}": band_of(judged.label_mu, band)
         for band in pairwise((0.0, *FRICTION_EDGES_MU, np.inf))
     }
-    by_use = {f"used {band_name(band)}": band_of(judged.utilisation_ratio, band) for band in UTILISATION_BANDS}
-    return {name: chosen for name, chosen in (by_friction | by_use).items() if chosen.any()}
+    used = {f"used {band}": chosen for band, chosen in by_use(judged.utilisation_ratio).items()}
+    return {name: chosen for name, chosen in (by_friction | used).items() if chosen.any()}
 
 
 def _stated_figures(judged: HeldOut, advice: Conformal) -> dict[str, float]:
@@ -202,7 +203,7 @@ def _stated_figures(judged: HeldOut, advice: Conformal) -> dict[str, float]:
 
 
 def _stated_table(judged: HeldOut, advice: Conformal) -> Table:
-    held, doubtful = _stated(judged, advice), judged.expected_error_ratio > advice.doubtful_above_ratio
+    held, doubtful = _stated(judged, advice), _doubtful(judged, advice)
     everything = np.ones(len(judged), dtype=np.bool_)
     rows: list[tuple[Cell, ...]] = [
         (name, int(chosen.sum()), per_cent(float(doubtful[chosen].mean())), per_cent(float(held[chosen].mean())))
@@ -223,8 +224,8 @@ def _mean_of(values: FloatArray | BoolArray, chosen: BoolArray) -> float:
 
 def _by_band(judged: HeldOut, values: FloatArray) -> dict[str, float]:
     """Return the mean of some values by utilisation, for bands that have passages."""
-    chosen = {band_name(band): band_of(judged.utilisation_ratio, band) for band in UTILISATION_BANDS}
-    return {name: float(values[some].mean()) for name, some in chosen.items() if some.any()}
+    bands = by_use(judged.utilisation_ratio)
+    return {name: float(values[chosen].mean()) for name, chosen in bands.items() if chosen.any()}
 
 
 def _deciles(judged: HeldOut) -> tuple[FloatArray, FloatArray]:
@@ -286,15 +287,14 @@ def _interval_table(judged: HeldOut, ways: Mapping[str, Intervals]) -> Table:
 
 
 def _censoring_table(judged: HeldOut, advice: Conformal) -> Table:
-    doubtful = judged.expected_error_ratio > advice.doubtful_above_ratio
+    doubtful = _doubtful(judged, advice)
     bound, demand = _bound(judged, advice), judged.column("demand_q100_mu")
     rows: list[tuple[Cell, ...]] = []
-    for band in UTILISATION_BANDS:
-        chosen = band_of(judged.utilisation_ratio, band)
+    for band, chosen in by_use(judged.utilisation_ratio).items():
         told = chosen & doubtful
         rows.append(
             (
-                band_name(band),
+                band,
                 int(chosen.sum()),
                 *(
                     per_cent(value) if np.isfinite(value) else None
@@ -331,8 +331,7 @@ def _pictures(
 ) -> tuple[Picture, ...]:
     expected, found = _deciles(judged)
     highest = 105.0 * float(max(expected.max(), found.max()))
-    doubtful = (judged.expected_error_ratio > advice.doubtful_above_ratio).astype(np.float64)
-    said = _by_band(judged, doubtful)
+    said = _by_band(judged, _doubtful(judged, advice).astype(np.float64))
     held = {name: _by_band(judged, way.holds.astype(np.float64)) for name, way in ways.items()}
     return (
         Lines(

@@ -13,10 +13,10 @@ from training.study.folds import FOLDS_COUNT, PAPER_SET, RANDOM_ROADS_SET
 from training.study.generalise.held_out import (
     HIGH_UTILISATION_RATIO,
     SUREST_FRAC,
-    UTILISATION_BANDS,
     HeldOut,
     band_name,
     band_of,
+    by_use,
     held_out,
     left_out_roads,
     mean_by_road,
@@ -108,11 +108,6 @@ def headline_figures(judged: HeldOut) -> dict[str, float]:
 def more_figures(judged: HeldOut) -> dict[str, float]:
     """Return what stands behind the headlines, by name."""
     curve = selective_mape_ratio(judged, TOLD_COVERAGES_FRAC)
-    by_use = {
-        f"utilisation.{band_name(band)}": float(judged.error_ratio[chosen].mean())
-        for band in UTILISATION_BANDS
-        if (chosen := band_of(judged.utilisation_ratio, band)).any()
-    }
     bias = mean_by_road(judged.log_ratio, judged.roads)
     return {
         "median_error": float(np.median(judged.error_ratio)),
@@ -121,7 +116,11 @@ def more_figures(judged: HeldOut) -> dict[str, float]:
         # What all vehicles of a road err alike does not go away by asking more of them.
         "road_bias_rms": float(np.sqrt(np.mean(bias**2))),
         **{f"coverage.{100.0 * frac:.0f}": value for frac, value in zip(TOLD_COVERAGES_FRAC, curve, strict=True)},
-        **by_use,
+        **{
+            f"utilisation.{band}": float(judged.error_ratio[chosen].mean())
+            for band, chosen in by_use(judged.utilisation_ratio).items()
+            if chosen.any()
+        },
     }
 
 
@@ -155,7 +154,7 @@ def _parts(judged: HeldOut) -> dict[str, dict[str, BoolArray]]:
         return {band_name(band, unit=unit): band_of(values, band) for band in bands}
 
     return {
-        "largest share of the grip used": banded(judged.utilisation_ratio, UTILISATION_BANDS, ""),
+        "largest share of the grip used": by_use(judged.utilisation_ratio),
         "base friction": {f"{part / 100.0:.2f}": friction == part for part in sorted(set(friction.tolist()))},
         "length of the road": banded(length_m, LENGTH_BANDS_M, "m"),
         "tightest radius": banded(radius_m, RADIUS_BANDS_M, "m"),

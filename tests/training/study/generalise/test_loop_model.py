@@ -21,7 +21,7 @@ from training.study.generalise.loop_model import (
     gathered,
     loop_model,
     loop_models,
-    strange,
+    strangers_answers,
     what_is_taught,
 )
 from training.study.recipes import PAPER_FIT, PAPER_RECIPE, Boosted
@@ -63,7 +63,7 @@ def test_a_random_road_is_judged_by_those_that_know_nothing_of_it(desk):
 
 
 def test_drives_that_are_not_taught_are_judged_too(desk):
-    judged = strange(desk, GRADE, Teaching("usual", SMALL, USUAL_SETS))
+    judged = strangers_answers(desk, GRADE, Teaching("usual", SMALL, USUAL_SETS))
     assert np.isfinite(judged.mu).all()
     assert (judged.expected_error_ratio > 0.0).all()
 

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from tests.training.study.desk import Desk
 from tests.training.study.generalise.road_drives import SMALL_BEST, drives_on_roads
 from tests.training.study.results import assert_presentable, with_figures
+from training.designs import Size
 from training.study.generalise import sensors
 from training.study.generalise.sensors import EXACT, FINER, NEW, SCHOOLED
+from training.study.sources import data_set
 from vehicle_client.simulator.plan import SensorGrade
 
 IDEAL, AUTOMOTIVE = SensorGrade.IDEAL, SensorGrade.AUTOMOTIVE
@@ -35,6 +39,14 @@ def test_all_cars_are_judged_on_the_same_roads(results):
     assert len(counts) == 1
     for result in results.values():
         assert_presentable(result)
+
+
+def test_exact_sensors_are_judged_on_no_more_roads_than_the_others(monkeypatch):
+    few = replace(data_set(sensors.NEW_CARS_SET), quick_size=Size(1, random_roads_count=ROADS_COUNT))
+    monkeypatch.setattr(sensors, "data_set", lambda _name: few)
+    monkeypatch.setattr(sensors, "RECIPE", SMALL_BEST)
+    desk = Desk(data_sets={"random-roads": drives_on_roads(ROADS_COUNT + 4)})
+    assert sensors.compute(desk, IDEAL).sizes["roads"] == ROADS_COUNT
 
 
 def said(results, *, new: float, schooled: float, finer: float) -> str:
