@@ -89,23 +89,11 @@ def sfs15_mape_ratio(bench: Workbench, grade: SensorGrade, recipe: Recipe) -> fl
     return cv_median_mape_ratio(bench, grade, recipe.on(chosen))
 
 
-def known_roads_headlines(
-    bench: Workbench, grade: SensorGrade, recipe: Recipe, *, config: str, with_selection: bool = True
-) -> dict[str, float]:
-    """Return all headlines of a recipe on known roads, under the names the study's summary takes them by.
-
-    Args:
-        bench: Where the data comes from.
-        grade: Sensors.
-        recipe: What is judged.
-        config: Under which name, such as "best".
-        with_selection: Whether the recipe is also judged with 15 features chosen among its own.
-    """
-    figures = {
+def known_roads_figures(bench: Workbench, grade: SensorGrade, recipe: Recipe) -> dict[str, float]:
+    """Return how a recipe of at least 15 features does on known roads, by the names of the study's headlines."""
+    return {
         "known_worst_mape": known_worst_mape_ratio(bench, grade, recipe),
         "cv_median_mape": cv_median_mape_ratio(bench, grade, recipe),
         "relative_rms": known_relative_rms_ratio(bench, grade, recipe),
+        "sfs15_mape": sfs15_mape_ratio(bench, grade, recipe),
     }
-    if with_selection:
-        figures["sfs15_mape"] = sfs15_mape_ratio(bench, grade, recipe)
-    return {f"headline.{config}.{name}": value for name, value in figures.items()}

@@ -41,6 +41,7 @@ CHAPTER_MODULES: Mapping[Part, tuple[str, ...]] = MappingProxyType(
             "drivers",
         ),
         Part.GENERALISE: (
+            "known_roads",
             "unseen_roads",
             "learning_curve",
             "features",

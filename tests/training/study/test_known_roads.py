@@ -12,7 +12,6 @@ from training.study.folds import paper_split
 from training.study.known_roads import (
     global_estimates,
     known_relative_rms_ratio,
-    known_roads_headlines,
     known_worst_mape_ratio,
     local_estimates,
     scenario_mape_ratio,
@@ -51,12 +50,6 @@ def test_the_worst_scenario_makes_the_headline():
     by_scenario = scenario_mape_ratio(paper_split(desk, IDEAL), global_estimates(desk, IDEAL, mean))
     assert max(by_scenario, key=lambda name: by_scenario[name]) == "a"
     assert known_worst_mape_ratio(desk, IDEAL, mean) == by_scenario["a"] == pytest.approx(4 / 3, abs=0.02)
-
-
-def test_headlines_bear_the_name_of_their_configuration():
-    figures = known_roads_headlines(Desk(), IDEAL, TREES, config="best", with_selection=False)
-    assert set(figures) == {f"headline.best.{name}" for name in ("known_worst_mape", "cv_median_mape", "relative_rms")}
-    assert all(0.0 < value < 0.5 for value in figures.values())
 
 
 def test_held_out_runs_are_harder_than_they_would_be_by_heart():

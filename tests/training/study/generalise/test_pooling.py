@@ -65,7 +65,7 @@ def result():
         patch.setattr(pooling, "SIMULATED_SIZES_COUNT", (1, 50))
         patch.setattr(pooling, "DRIVEN_SIZES_COUNT", (10, 50))
         patch.setattr(held_out, "EXPECTED_ERROR", FEW)
-        patch.setattr(pooling, "CONFIGS", {"paper_config": SMALL})
+        patch.setattr(pooling, "CONFIGS", {"paper_config": SMALL, "best": SMALL})
         desk = Desk(data_sets={"paper": made_up_runs(300), "random-roads": named})
         return pooling.CHAPTER.compute(desk, SensorGrade.IDEAL)
 
@@ -76,6 +76,8 @@ def test_the_chapter_gives_its_headlines(result):
         figures["headline.paper_config.interval10_worst_known_best"]
         == figures[f"known.paper_config.{REFINED}.10.worst_p95"]
     )
+    assert figures["headline.best.interval50_worst_known"] == figures[f"known.best.{MEDIAN}.50.worst_p95"]
+    assert "headline.paper_config.interval50_worst_known" not in figures, "another chapter's"
     assert all(len(row) == len(table.columns) for table in result.tables for row in table.rows)
 
 

@@ -7,7 +7,8 @@ from tests.training.study.results import assert_presentable, with_figures
 from training.study.generalise import held_out as judging
 from training.study.generalise import uncertainty
 from training.study.generalise.held_out import held_out
-from training.study.generalise.uncertainty import COVERAGE_FRAC, SCALED
+from training.study.generalise.uncertainty import SCALED
+from training.table_models import COVERAGE_FRAC
 from vehicle_client.simulator.plan import SensorGrade
 
 IDEAL = SensorGrade.IDEAL
