@@ -91,14 +91,6 @@ class Course:
         angle: FloatArray = np.arctan2(self.velocity_y_mps, self.velocity_x_mps)
         return angle
 
-    @property
-    def path_m(self) -> tuple[FloatArray, FloatArray]:
-        """East and north of the start, which was towards east. (n,) each"""
-        heading = np.concatenate([[0.0], np.cumsum(self.yaw_rate_radps[:-1]) * SAMPLE_S])
-        east = self.velocity_x_mps * np.cos(heading) - self.velocity_y_mps * np.sin(heading)
-        north = self.velocity_x_mps * np.sin(heading) + self.velocity_y_mps * np.cos(heading)
-        return np.cumsum(east) * SAMPLE_S, np.cumsum(north) * SAMPLE_S
-
 
 @dataclass(frozen=True, slots=True)
 class Manoeuvre:

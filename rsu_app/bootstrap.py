@@ -33,7 +33,7 @@ from rsu_app.observability import Metrics
 from rsu_app.ports import Clock, FrictionModel, PassageStore
 from rsu_app.rate import RateLimit
 from rsu_app.settings import Settings
-from rsu_app.usecases import RoadSideUnit, UnitLimits
+from rsu_app.usecases import FrictionPolicies, RoadSideUnit, UnitLimits
 
 if TYPE_CHECKING:
     from rsu_app.adapters.http.site import Broadcast, Site
@@ -89,14 +89,7 @@ def build(settings: Settings, *, metrics: Metrics, sections: tuple[RoadSection, 
             for section, chosen in zip(sections, settings.sections, strict=True)
             if chosen.winter_speed_mps is not None
         },
-        interval_policy=IntervalPolicy(
-            provisional_from_count=settings.window.provisional_from_count,
-            recommended_from_count=settings.window.recommended_from_count,
-            stale_after_s=settings.window.stale_after_s,
-            valid_at_most_s=settings.window.valid_at_most_s,
-        ),
-        probing_policy=ProbingPolicy(**settings.probing.model_dump()),
-        change_policy=_change_policy(settings),
+        friction_policies=_friction_policies(settings),
         limits=UnitLimits(
             window_s=settings.window.length_s,
             subscribers_count=settings.http.stream_clients_limit_count,
@@ -327,17 +320,16 @@ def _model_or_absence(settings: Settings) -> tuple[FrictionModel | None, str]:
 
 
 def _advisory_policy(settings: Settings) -> AdvisoryPolicy:
-    return AdvisoryPolicy(
-        winter_speed_mps=settings.advisory.winter_speed_mps,
-        utilisation_frac=settings.advisory.utilisation_frac,
-        rise_margin_mps=settings.advisory.rise_margin_mps,
-        valid_for_s=settings.advisory.valid_for_s,
+    return AdvisoryPolicy(**settings.advisory.model_dump())
+
+
+def _friction_policies(settings: Settings) -> FrictionPolicies:
+    window, change = settings.window, settings.change_detection
+    return FrictionPolicies(
+        interval=IntervalPolicy(**window.model_dump(exclude={"length_s"})),
+        probing=ProbingPolicy(**settings.probing.model_dump()),
+        change=ChangePolicy(**change.model_dump(exclude={"enabled"})) if change.enabled else None,
     )
-
-
-def _change_policy(settings: Settings) -> ChangePolicy | None:
-    chosen = settings.change_detection
-    return ChangePolicy(**chosen.model_dump(exclude={"enabled"})) if chosen.enabled else None
 
 
 def _section(file: str) -> RoadSection:

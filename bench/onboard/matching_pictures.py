@@ -13,7 +13,6 @@ from roadgrip.units import FloatArray
 from vehicle_client.mapmatch.alignment import alignments, mapped_stretch, metred_drive, value_at
 from vehicle_client.mapmatch.waypoints import section_waypoints
 
-LIMIT_FRAC = 0.01
 EXAMPLE_WAYPOINTS_COUNT = 3
 
 

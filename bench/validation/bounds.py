@@ -7,9 +7,6 @@ from __future__ import annotations
 
 from bench.simulator_oracle import Variant
 
-TYRE_POINT_RATIO = 1e-4
-SELF_SIMILARITY_RATIO = 1e-9
-COMBINED_FORCE_RATIO = 1.0
 UNDERSTEER_RATIO = 0.03
 ROLL_RATIO = 0.03
 STEP_STEER_RATIO = 0.03
@@ -18,7 +15,6 @@ FREE_ROLL_RATIO = 1e-3
 LIMIT_RATIO = 0.02
 TIME_STEP_Q95_RATIO = 0.01
 """Of the statistics of a drive's motion, over the signal's largest magnitude."""
-CROSS_SPECTRUM = 0.1
 
 STEADY_RATIO = {Variant.PUBLISHED: 0.12, Variant.NO_CAMBER: 0.08, Variant.PLAIN: 0.02}
 """Of the oracle: steady and peak yaw rate, lateral acceleration and roll of steps; steering angle in the circle."""

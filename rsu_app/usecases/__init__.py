@@ -3,7 +3,16 @@
 from rsu_app.usecases.changes import Subscription
 from rsu_app.usecases.readiness import Check, Readiness
 from rsu_app.usecases.recall import AcceptedAgain
-from rsu_app.usecases.section_friction import SectionFriction
+from rsu_app.usecases.section_friction import FrictionPolicies, SectionFriction
 from rsu_app.usecases.unit import RoadSideUnit, UnitLimits
 
-__all__ = ["AcceptedAgain", "Check", "Readiness", "RoadSideUnit", "SectionFriction", "Subscription", "UnitLimits"]
+__all__ = [
+    "AcceptedAgain",
+    "Check",
+    "FrictionPolicies",
+    "Readiness",
+    "RoadSideUnit",
+    "SectionFriction",
+    "Subscription",
+    "UnitLimits",
+]

@@ -7,12 +7,13 @@ the window, when somebody asks.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from math import inf
 
 import numpy as np
 
 from roadgrip.records import Advisory, FrictionInterval
+from rsu_app.domain.change import ChangePolicy
 from rsu_app.domain.interval import IntervalPolicy, friction_interval
 from rsu_app.domain.pooling import PoolingPolicy, RefinedInterval, refined_interval_of_window, support_of_window
 from rsu_app.domain.probing import ProbingPolicy, WindowKnowledge, advise_as_known, marked_interval, standing_after
@@ -22,6 +23,23 @@ from rsu_app.usecases.section_state import Remembered, SectionState
 NEWEST_COUNT = 1_000
 """Vehicles the refined interval looks at, and the published one behind a change: with so many, more make no difference
 that an error all vehicles share would not swamp."""
+
+
+@dataclass(frozen=True, slots=True)
+class FrictionPolicies:
+    """What is asked of the vehicles of a section before its friction is said, and before advice follows.
+
+    Attributes:
+        interval: Of the published interval.
+        pooling: What the refined one assumes, and when the published one is supported.
+        probing: What is asked before the advice rises while it is not.
+        change: When the road is held to have changed, so that older estimates no longer count; None never.
+    """
+
+    interval: IntervalPolicy = field(default_factory=IntervalPolicy)
+    pooling: PoolingPolicy = field(default_factory=PoolingPolicy)
+    probing: ProbingPolicy = field(default_factory=ProbingPolicy)
+    change: ChangePolicy | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,56 +75,48 @@ class Knowledge:
     remembered: Remembered
 
 
-def knowledge(
-    state: SectionState, *, now_s: float, policy: IntervalPolicy, pooling_policy: PoolingPolicy
-) -> Knowledge | None:
+def knowledge(state: SectionState, *, now_s: float, policies: FrictionPolicies) -> Knowledge | None:
     """Return what the vehicles of a section know as of now, None without any.
 
     Args:
         state: Of the section.
         now_s: By the monotonic clock.
-        policy: Of the published interval.
-        pooling_policy: When it is supported.
+        policies: What is asked of them.
     """
     state.window.evict(now_s=now_s)
     counted_from_s = _counted_from_s(state, now_s=now_s)
-    interval = _published(state, now_s=now_s, policy=policy, counted_from_s=counted_from_s)
+    interval = _published(state, now_s=now_s, policy=policies.interval, counted_from_s=counted_from_s)
     if interval is None:
         return None
     newest = state.window.newest_rows(NEWEST_COUNT)
     known = state.remembered
     if known is None or known.newest is not newest or known.counted_from_s != counted_from_s:
         rows = _since(newest, counted_from_s)
-        support = support_of_window(rows, policy=pooling_policy)
+        support = support_of_window(rows, policy=policies.pooling)
         assert support is not None  # noqa: S101 - the window holds a vehicle, or there were no interval
         known = state.remembered = Remembered(newest, counted_from_s, rows, support)
     return Knowledge(marked_interval(interval, known.support), known)
 
 
-def published_interval(
-    state: SectionState, *, now_s: float, policy: IntervalPolicy, pooling_policy: PoolingPolicy
-) -> FrictionInterval | None:
+def published_interval(state: SectionState, *, now_s: float, policies: FrictionPolicies) -> FrictionInterval | None:
     """Return the friction interval of a section as of now, None if no vehicle is behind it."""
-    known = knowledge(state, now_s=now_s, policy=policy, pooling_policy=pooling_policy)
+    known = knowledge(state, now_s=now_s, policies=policies)
     return None if known is None else known.interval
 
 
-def section_friction(
-    state: SectionState, *, now_s: float, policy: IntervalPolicy, pooling_policy: PoolingPolicy
-) -> SectionFriction | None:
+def section_friction(state: SectionState, *, now_s: float, policies: FrictionPolicies) -> SectionFriction | None:
     """Return everything that is known of a section's friction as of now, None if no vehicle is behind it.
 
     Args:
         state: Of the section.
         now_s: By the monotonic clock.
-        policy: Of the published interval.
-        pooling_policy: Of the refined one.
+        policies: What is asked of the vehicles.
     """
-    known = knowledge(state, now_s=now_s, policy=policy, pooling_policy=pooling_policy)
+    known = knowledge(state, now_s=now_s, policies=policies)
     if known is None:
         return None
     remembered = known.remembered
-    refined = remembered.refined or refined_interval_of_window(remembered.rows, policy=pooling_policy)
+    refined = remembered.refined or refined_interval_of_window(remembered.rows, policy=policies.pooling)
     assert refined is not None  # noqa: S101 - the window holds a vehicle, or nothing were known
     remembered.refined = refined
     counted_from_s = remembered.counted_from_s
@@ -122,9 +132,7 @@ def section_advisory(
     *,
     now_s: float,
     model_live: bool,
-    policy: IntervalPolicy,
-    pooling_policy: PoolingPolicy,
-    probing_policy: ProbingPolicy,
+    policies: FrictionPolicies,
 ) -> Advisory:
     """Return what drivers on a section are told as of now, and remember it.
 
@@ -132,18 +140,16 @@ def section_advisory(
         state: Of the section.
         now_s: By the monotonic clock.
         model_live: Whether the unit has a model.
-        policy: Of the published interval.
-        pooling_policy: When it is supported.
-        probing_policy: What is asked before the advice rises while it is not.
+        policies: What is asked of the vehicles.
     """
-    known = knowledge(state, now_s=now_s, policy=policy, pooling_policy=pooling_policy)
+    known = knowledge(state, now_s=now_s, policies=policies)
     advisory = advise_as_known(
         state.section,
         interval=None if known is None else known.interval,
         window=None if known is None else _window_knowledge(state, known.remembered, now_s=now_s),
         model_live=model_live,
         policy=state.policy,
-        probing=probing_policy,
+        probing=policies.probing,
         standing=state.standing,
     )
     state.standing = standing_after(state.standing, advisory, now_s=now_s)

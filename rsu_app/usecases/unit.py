@@ -24,13 +24,9 @@ from roadgrip.records import (
 from roadgrip.section import RoadSection
 from roadgrip.units import WINDOW_S
 from rsu_app.domain.advisory import AdvisoryPolicy
-from rsu_app.domain.change import ChangePolicy
-from rsu_app.domain.interval import IntervalPolicy
 from rsu_app.domain.plausibility import age_flag, implausibility, summary_values
-from rsu_app.domain.pooling import PoolingPolicy
-from rsu_app.domain.probing import ProbingPolicy
 from rsu_app.domain.watch import MEMORY_WINDOWS_COUNT
-from rsu_app.domain.window import CAPACITY_COUNT, WindowRows
+from rsu_app.domain.window import CAPACITY_COUNT
 from rsu_app.ports import (
     Clock,
     CountablePassage,
@@ -44,6 +40,7 @@ from rsu_app.usecases.changes import Subscription
 from rsu_app.usecases.readiness import Check, ClockWatch, Readiness, check_golden, model_check, store_check
 from rsu_app.usecases.recall import Recall, content_digest, outcome_of_repetition, values_digest
 from rsu_app.usecases.section_friction import (
+    FrictionPolicies,
     SectionFriction,
     published_interval,
     section_advisory,
@@ -99,10 +96,7 @@ class RoadSideUnit:
         clock: Both clocks.
         policy: What the road authority decides about advice.
         section_policies: Decisions for single sections that replace `policy`, by section id.
-        interval_policy: What the operator decides about intervals.
-        pooling_policy: What the refined interval assumes, and when the published one is supported.
-        probing_policy: What is asked before the advice rises while it is not.
-        change_policy: When a road is held to have changed, so that older estimates no longer count; None never.
+        friction_policies: What is asked of vehicles before friction is said and advice follows.
         limits: How far things may grow.
 
     Raises:
@@ -119,17 +113,13 @@ class RoadSideUnit:
         clock: Clock,
         policy: AdvisoryPolicy | None = None,
         section_policies: Mapping[str, AdvisoryPolicy] | None = None,
-        interval_policy: IntervalPolicy | None = None,
-        pooling_policy: PoolingPolicy | None = None,
-        probing_policy: ProbingPolicy | None = None,
-        change_policy: ChangePolicy | None = None,
+        friction_policies: FrictionPolicies | None = None,
         limits: UnitLimits | None = None,
         model_absence: str = "no model is loaded",
     ) -> None:
         self._limits = limits or UnitLimits()
-        self._interval_policy = interval_policy or IntervalPolicy()
-        self._pooling_policy = pooling_policy or PoolingPolicy()
-        self._probing_policy = probing_policy or ProbingPolicy()
+        self._friction_policies = friction_policies or FrictionPolicies()
+        change_policy = self._friction_policies.change
         # A change within the last hour can only be told by what was found before.
         self._memory_s = self._limits.window_s * (1 if change_policy is None else MEMORY_WINDOWS_COUNT)
         self._store = store
@@ -256,25 +246,12 @@ class RoadSideUnit:
         state = self._states.get(section_id)
         return self._unknown(section_id) if state is None else self._interval(state)
 
-    def window_rows(self, section_id: str) -> WindowRows | Rejected:
-        """Return what the window of a section holds as of now, each estimate with its expected error."""
-        state = self._states.get(section_id)
-        if state is None:
-            return self._unknown(section_id)
-        state.window.evict(now_s=self._clock.monotonic_s())
-        return state.window.rows
-
     def current_friction(self, section_id: str) -> SectionFriction | Rejected | None:
         """Return the interval of a section with the second opinion beside it, None if no vehicle is behind it."""
         state = self._states.get(section_id)
         if state is None:
             return self._unknown(section_id)
-        return section_friction(
-            state,
-            now_s=self._clock.monotonic_s(),
-            policy=self._interval_policy,
-            pooling_policy=self._pooling_policy,
-        )
+        return section_friction(state, now_s=self._clock.monotonic_s(), policies=self._friction_policies)
 
     def current_advisory(self, section_id: str) -> Advisory | Rejected:
         """Return what drivers on a section are told now."""
@@ -434,21 +411,14 @@ class RoadSideUnit:
         return state is not None and count_passage(state, passage, left_at_s=left_at_s, age_s=age_s)
 
     def _interval(self, state: SectionState) -> FrictionInterval | None:
-        return published_interval(
-            state,
-            now_s=self._clock.monotonic_s(),
-            policy=self._interval_policy,
-            pooling_policy=self._pooling_policy,
-        )
+        return published_interval(state, now_s=self._clock.monotonic_s(), policies=self._friction_policies)
 
     def _advisory(self, state: SectionState) -> Advisory:
         return section_advisory(
             state,
             now_s=self._clock.monotonic_s(),
             model_live=self._model is not None,
-            policy=self._interval_policy,
-            pooling_policy=self._pooling_policy,
-            probing_policy=self._probing_policy,
+            policies=self._friction_policies,
         )
 
     def _notice(self, state: SectionState) -> AdvisoryNotice:

@@ -184,7 +184,7 @@ def test_changes_are_looked_for_where_that_is_chosen(folder, enabled):
 def test_what_is_chosen_about_probing_reaches_the_unit(folder):
     async def scenario() -> None:
         parts = parts_of(folder, "[probing]\nevidence_count = 25\nlikely_count = 30\n")
-        chosen = parts.unit._probing_policy  # noqa: SLF001 - what it does with it is the domain's to test
+        chosen = parts.unit._friction_policies.probing  # noqa: SLF001 - what it does with it is the domain's to test
         assert chosen == ProbingPolicy(evidence_count=25, likely_count=30)
         await parts.unit.close()
 

@@ -12,12 +12,11 @@ from roadgrip.records import AdvisoryReason, NotCounted
 from roadgrip.sections import read_section
 from rsu_app.domain.advisory import AdvisoryPolicy
 from rsu_app.domain.change import ChangePolicy
-from rsu_app.domain.interval import IntervalPolicy
 from rsu_app.domain.judgement import Judgement
 from rsu_app.domain.pooling import PoolingPolicy
 from rsu_app.domain.probing import ProbingPolicy
 from rsu_app.domain.profiles import ProfilePolicy
-from rsu_app.usecases.section_friction import section_advisory
+from rsu_app.usecases.section_friction import FrictionPolicies, section_advisory
 from rsu_app.usecases.section_state import section_states
 from training.loop_unit import LoopUnit, UnitRules
 
@@ -74,9 +73,7 @@ def test_the_road_side_unit_publishes_and_advises_the_same(heard, cut):
             state,
             now_s=now_s,
             model_live=True,
-            policy=IntervalPolicy(),
-            pooling_policy=PoolingPolicy(),
-            probing_policy=ProbingPolicy(),
+            policies=FrictionPolicies(),
         )
         assert unit.advise(now_s=now_s) == told
 

@@ -9,6 +9,7 @@ from roadgrip.records import (
     Rejected,
 )
 from rsu_app.usecases import RoadSideUnit, UnitLimits
+from rsu_app.usecases.section_state import SectionState
 from tests.rsu_app.fakes import FakeClock, FakeModel, FakeStore, make_passage, make_section
 
 SECTION = make_section()
@@ -46,6 +47,10 @@ class Site:
         advisory = self.unit.current_advisory(section.section_id)
         assert isinstance(advisory, Advisory)
         return advisory
+
+    def state(self, section=SECTION) -> SectionState:
+        """What the unit holds for a section; nobody but tests asks."""
+        return self.unit._states[section.section_id]  # noqa: SLF001 - it answers only for what follows from it
 
     def restarted(self):
         return Site(store=self.store, clock=self.clock, model=self.model)

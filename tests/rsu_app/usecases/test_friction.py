@@ -15,13 +15,14 @@ from roadgrip.reasons import Reason
 from roadgrip.records import AdvisoryReason, Confidence, NotCounted
 from rsu_app.domain.change import ChangePolicy
 from rsu_app.ports import CountablePassage
-from rsu_app.usecases import SectionFriction, UnitLimits
+from rsu_app.usecases import FrictionPolicies, SectionFriction, UnitLimits
 from rsu_app.usecases.section_friction import NEWEST_COUNT
 from tests.bundles import CONFORMAL, make_manifest
 from tests.rsu_app.fakes import FakeClock, FakeModel, FakeStore, make_passage
 from tests.rsu_app.usecases.site import SECTION, Site, flags_of, reason_of
 
 GRIP_PROFILE_PLACES = [place for place, name in enumerate(NEWEST_TABLE.names) if name.startswith("grip_profile_")]
+WATCHED = FrictionPolicies(change=ChangePolicy())
 
 
 def friction_of(site) -> SectionFriction:
@@ -89,7 +90,7 @@ def test_where_hardly_anybody_names_a_friction_the_interval_is_marked():
 
 @pytest.mark.parametrize("change_policy", [None, ChangePolicy()])
 def test_a_drop_is_published_at_once_only_where_that_is_wanted(change_policy):
-    site = Site(change_policy=change_policy)
+    site = Site(friction_policies=FrictionPolicies(change=change_policy))
 
     async def story():
         await traffic(site, mu_new=0.6, count=50, first_seed=100)
@@ -110,7 +111,7 @@ def test_a_drop_is_published_at_once_only_where_that_is_wanted(change_policy):
 
 
 def test_few_vehicles_an_hour_still_tell_of_a_change_and_ten_stay():
-    site = Site(change_policy=ChangePolicy())
+    site = Site(friction_policies=WATCHED)
 
     async def story():
         await traffic(site, mu_new=0.6, count=30, every_s=240.0, first_seed=100)
@@ -122,13 +123,13 @@ def test_few_vehicles_an_hour_still_tell_of_a_change_and_ten_stay():
 
 
 def test_a_restart_keeps_the_change_though_the_window_alone_does_not_show_it():
-    site = Site(change_policy=ChangePolicy())
+    site = Site(friction_policies=WATCHED)
 
     async def story():
         await traffic(site, mu_new=0.6, count=40, every_s=120.0, first_seed=100)
         await traffic(site, mu_new=0.2, count=20, every_s=120.0, first_seed=200)
         clock = FakeClock(monotonic_s=5.0, unix_s=site.clock.now_unix_s)
-        again = Site(store=site.store, clock=clock, change_policy=ChangePolicy())
+        again = Site(store=site.store, clock=clock, friction_policies=WATCHED)
         # What is counted again are those of the window.
         assert await again.unit.restore() == 31
         return again
@@ -140,7 +141,7 @@ def test_a_restart_keeps_the_change_though_the_window_alone_does_not_show_it():
 
 def test_vehicles_that_only_know_a_bound_are_no_change():
     model = WaveringModel()
-    site = Site(model=model, change_policy=ChangePolicy())
+    site = Site(model=model, friction_policies=WATCHED)
 
     async def story():
         await traffic(site, mu_new=0.6, count=40, first_seed=100)
@@ -154,8 +155,10 @@ def test_vehicles_that_only_know_a_bound_are_no_change():
 
 def crowded(count, *, change_policy=None):
     """A unit whose window holds many vehicles of the same minute."""
-    site = Site(change_policy=change_policy, limits=UnitLimits(window_capacity_count=20_000))
-    state = site.unit._states[SECTION.section_id]  # noqa: SLF001 - a store of this size would take its time
+    site = Site(
+        friction_policies=FrictionPolicies(change=change_policy), limits=UnitLimits(window_capacity_count=20_000)
+    )
+    state = site.state()  # a store of this size would take its time
     rng = np.random.default_rng(1)
     now_s = site.clock.monotonic_s()
     for at_s, mu in zip(np.linspace(now_s - 3000.0, now_s, count), rng.uniform(0.4, 0.5, count), strict=True):
@@ -256,7 +259,7 @@ def test_after_a_restart_likelihoods_still_tell_of_ice():
         return again, without
 
     again, without = asyncio.run(story())
-    state, restored = (one.unit._states[SECTION.section_id] for one in (site, again))  # noqa: SLF001 - what it holds
+    state, restored = site.state(), again.state()
     now_s = site.clock.monotonic_s()
     assert restored.likelihoods.placed(now_s=now_s) == state.likelihoods.placed(now_s=now_s)
     assert restored.window.rows.slowest_mps.tolist() == state.window.rows.slowest_mps.tolist()
@@ -275,6 +278,6 @@ def test_after_a_restart_estimates_of_a_forgotten_feature_table_count_without_th
         assert await again.unit.restore() == 5
         return again
 
-    restored = asyncio.run(story()).unit._states[SECTION.section_id]  # noqa: SLF001 - what it holds
+    restored = asyncio.run(story()).state()
     assert len(restored.likelihoods) == 0
     assert np.isnan(restored.window.rows.slowest_mps).all()

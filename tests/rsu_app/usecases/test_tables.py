@@ -108,13 +108,9 @@ def test_the_window_holds_what_was_said_before_and_after_a_restart():
     model.answer_error_ratio = None  # a model that misses its golden vectors would not go live again
     again = site.restarted()
     asyncio.run(again.unit.restore())
-    for unit in (site.unit, again.unit):
-        rows = unit.window_rows(SECTION.section_id)
+    for one in (site, again):
+        rows = one.state().window.rows
         assert rows.mu == pytest.approx([0.6, 0.5], abs=1e-6)
         assert rows.expected_error_ratio == pytest.approx([0.1, 0.3])
         assert rows.at_least.tolist() == [False, True]
         assert rows.mu_low == pytest.approx([0.6 * exp(-0.2), 0.5 * exp(-0.6)], abs=1e-6)
-
-
-def test_rows_of_a_section_that_is_not_served_are_refused():
-    assert reason_of(Site().unit.window_rows("nowhere")) is Reason.UNKNOWN_SECTION
