@@ -17,7 +17,7 @@ import structlog
 from roadgrip.errors import BundleError, ConfigurationError, FeatureTableError, SectionError, StoreError, WireError
 from roadgrip.exchange import ExchangeLedger
 from roadgrip.features import TABLES
-from roadgrip.records import FrictionInterval, MapOffer, Rejected
+from roadgrip.records import MapOffer, Rejected
 from roadgrip.section import RoadSection
 from roadgrip.sections import read_section
 from roadgrip.signing import Signer, Verifier, signer_from_pem, verifier_from_pems
@@ -33,7 +33,7 @@ from rsu_app.observability import Metrics
 from rsu_app.ports import Clock, FrictionModel, PassageStore
 from rsu_app.rate import RateLimit
 from rsu_app.settings import Settings
-from rsu_app.usecases import FrictionPolicies, RoadSideUnit, UnitLimits
+from rsu_app.usecases import FrictionPolicies, RoadSideUnit, SectionFriction, UnitLimits
 
 if TYPE_CHECKING:
     from rsu_app.adapters.http.site import Broadcast, Site
@@ -150,12 +150,13 @@ async def observe(parts: Parts) -> None:
     """Bring the gauges up to date."""
     metrics, unit = parts.metrics, parts.unit
     for section_id in unit.section_ids:
-        interval, advisory = unit.current_interval(section_id), unit.current_advisory(section_id)
-        known = interval if isinstance(interval, FrictionInterval) else None
+        friction, advisory = unit.current_friction(section_id), unit.current_advisory(section_id)
+        known = friction.interval if isinstance(friction, SectionFriction) else None
         # A gauge without a value is NaN: zero would be black ice.
         metrics.mu_low.labels(section_id).set(known.mu_low if known else nan)
         metrics.mu_new.labels(section_id).set(known.mu_new if known else nan)
         metrics.median_mu.labels(section_id).set(known.median_mu if known else nan)
+        metrics.at_least.labels(section_id).set(friction.at_least if isinstance(friction, SectionFriction) else nan)
         metrics.window_passages.labels(section_id).set(known.passages_count if known else 0)
         if not isinstance(advisory, Rejected):
             metrics.advisory_speed.labels(section_id).set(advisory.speed_mps)

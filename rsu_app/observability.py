@@ -99,6 +99,11 @@ class Metrics:
         self.mu_low = self._gauge("roadgrip_interval_mu_low", "Lower end of the friction interval.", "section")
         self.mu_new = self._gauge("roadgrip_interval_mu_new", "Upper end of the friction interval.", "section")
         self.median_mu = self._gauge("roadgrip_interval_median_mu", "Median of the counted estimates.", "section")
+        self.at_least = self._gauge(
+            "roadgrip_interval_at_least",
+            "1 while so few vehicles name a friction that the interval is marked and the advice held.",
+            "section",
+        )
         self.window_passages = self._gauge("roadgrip_window_passages", "Counted passages in the window.", "section")
         self.advisory_speed = self._gauge("roadgrip_advisory_speed_mps", "Advised speed.", "section")
         self.stream_clients = self._gauge("roadgrip_stream_clients", "Open event streams.")

@@ -138,10 +138,12 @@ def test_gauges_show_the_interval_and_nothing_where_there_is_none(folder):
 
         await observe(parts)
         assert math.isnan(shown("roadgrip_interval_mu_new"))
+        assert math.isnan(shown("roadgrip_interval_at_least"))
         assert shown("roadgrip_window_passages") == 0
         await posted(parts, 12)
         await observe(parts)
         assert shown("roadgrip_interval_mu_new") == pytest.approx(0.5, abs=1e-5)
+        assert shown("roadgrip_interval_at_least") == 0
         assert shown("roadgrip_window_passages") == 12
         assert parts.metrics.registry.get_sample_value("roadgrip_store_passages") == 12
         assert parts.metrics.registry.get_sample_value("roadgrip_ready") == 1

@@ -49,6 +49,7 @@ _REFINED_EXAMPLE: dict[str, JsonValue] = {
     "half_width_mu": 0.031,
     "informative_count": 49,
     "censored_count": 8,
+    "clipped": False,
     "at_least": False,
 }
 _INTERVAL_EXAMPLE: dict[str, JsonValue] = {
@@ -116,6 +117,9 @@ class RefinedModel(_Model):
     )
     informative_count: int = Field(description="Vehicles that name a friction, among the newest thousand that count.")
     censored_count: int = Field(description="Vehicles of those that only say that it is at least so much.")
+    clipped: bool = Field(
+        description="The median held it back; often so means liars, or vehicles whose errors are not as expected."
+    )
     at_least: bool = Field(description="So few name a friction that mu_low and mu_new are lower bounds.")
 
 
@@ -324,6 +328,7 @@ def refined_model(refined: RefinedInterval) -> RefinedModel:
         half_width_mu=refined.half_width_mu if isfinite(refined.half_width_mu) else None,
         informative_count=refined.informative_count,
         censored_count=refined.censored_count,
+        clipped=refined.clipped,
         at_least=refined.at_least,
     )
 
