@@ -19,12 +19,12 @@ from roadgrip.errors import ConfigurationError
 from roadgrip.section import RoadSection
 from roadgrip.sections import packaged_names, read_section
 from training.cli_designs import AsJson, console, progress_bar
-from training.evaluation import DrivenPassage, Evaluation, driven_passage, evaluated, unreadable
+from training.evaluation import DrivenPassage, Evaluation, driven_passage, evaluated, summarised_on, unreadable
 from training.evaluation_figures import Ending, ErrorFigures, EvaluatedPassage
 from training.evaluation_report import csv_of, document_of, words_of
 from training.reference_drives import ReferenceFormat
 from training.trace_folder import TraceFolder, drives_of, open_folder, read_as
-from vehicle_client.pipeline import Summarised, summarise_passage
+from vehicle_client.pipeline import Summarised
 
 MOST_ROWS_COUNT = 40
 """A terminal shows so many drives; all of them are in the files."""
@@ -185,14 +185,7 @@ def _write(
             for drive in drives_of(file, source)
             if not isinstance(drive, tuple) and drive.name == passage.name
         )
-        outcome = summarise_passage(
-            drive.trace,
-            section,
-            vehicle=drive.vehicle.geometry,
-            parameters=drive.vehicle.parameters,
-            handling=drive.vehicle.handling,
-            noise=drive.vehicle.noise,
-        )
+        outcome = summarised_on(drive, section)
         if isinstance(outcome, Summarised):
             shown = ShownPassage(passage.name, why, drive.trace, section, outcome)
     (folder / PAGE_NAME).write_text(page_of(document, evaluation, shown), encoding="utf-8")

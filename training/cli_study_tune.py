@@ -115,5 +115,8 @@ def _print(found: Tuned) -> None:
     typer.echo(
         f"{parameters.trees_count} trees of depth {parameters.depth_count}, learning rate "
         f"{parameters.learning_rate_ratio:g}, {100.0 * parameters.row_share_frac:.0f} % of the rows and "
-        f"{100.0 * parameters.column_share_frac:.0f} % of the features each, of {parameters.target.value}"
+        f"{100.0 * parameters.column_share_frac:.0f} % of the features each, at a branching "
+        f"{100.0 * parameters.node_column_share_frac:.0f} % of those, at least {parameters.leaf_rows_count:g} rows in "
+        f"a leaf, weights by certainty to the power {parameters.certainty_power_ratio:g}, of {parameters.target.value}"
+        f"{', relative to the truth' if found.learn.relative else ''}"
     )

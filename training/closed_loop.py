@@ -207,8 +207,6 @@ def closed_loop(
     *,
     section: RoadSection,
     drive: Drive,
-    slot_s: float = SLOT_S,
-    on_slot: Callable[[int, int], None] | None = None,
 ) -> dict[str, Course]:
     """Return how each case goes, by name.
 
@@ -219,23 +217,19 @@ def closed_loop(
         travellers: Vehicles, in the order of their coming.
         section: The road.
         drive: Drives them.
-        slot_s: How long drivers hear the same.
-        on_slot: Told how many slots are done, and of how many.
     """
     circles = [_Circle(case, section) for case in cases]
-    slots_count = int(max((a.at_s for a in travellers), default=0.0) // slot_s) + 1
+    slots_count = int(max((a.at_s for a in travellers), default=0.0) // SLOT_S) + 1
     for slot in range(slots_count):
-        begin_s = slot * slot_s
-        coming = [traveller for traveller in travellers if begin_s <= traveller.at_s < begin_s + slot_s]
+        begin_s = slot * SLOT_S
+        coming = [traveller for traveller in travellers if begin_s <= traveller.at_s < begin_s + SLOT_S]
         plans = [circle.plans(coming, now_s=begin_s) for circle in circles]
         distinct = list(dict.fromkeys(plan for of_case in plans for plan in of_case))
         passed = dict(zip(distinct, drive(distinct), strict=True))
         for circle, of_case in zip(circles, plans, strict=True):
             circle.take(coming, [passed[plan] for plan in of_case])
-        if on_slot is not None:
-            on_slot(slot + 1, slots_count)
     for circle in circles:
-        circle.listen(until_s=slots_count * slot_s)
+        circle.listen(until_s=slots_count * SLOT_S)
     return {circle.case.name: circle.course() for circle in circles}
 
 

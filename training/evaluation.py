@@ -127,6 +127,19 @@ def check_label(label_mu: float, *, subject: str) -> None:
         raise TraceError(f"{subject}: label_mu is {label_mu:g}, not above 0 and at most {LABEL_LIMIT_MU:g}{perhaps}")
 
 
+def summarised_on(drive: RecordedDrive, section: RoadSection) -> Summarised | Rejected:
+    """Return what the drive's own car makes of it with the map of a section."""
+    car = drive.vehicle
+    return summarise_passage(
+        drive.trace,
+        section,
+        vehicle=car.geometry,
+        parameters=car.parameters,
+        handling=car.handling,
+        noise=car.noise,
+    )
+
+
 def driven_passage(drive: RecordedDrive, sections: Sequence[RoadSection]) -> DrivenPassage:
     """Return what the onboard client makes of a drive.
 
@@ -147,14 +160,7 @@ def driven_passage(drive: RecordedDrive, sections: Sequence[RoadSection]) -> Dri
         raise ConfigurationError(f"{drive.name} is said to be on section {drive.section_id!r}; given are {known}{more}")
     refused: list[tuple[RoadSection, Rejected]] = []
     for section in chosen:
-        outcome = summarise_passage(
-            drive.trace,
-            section,
-            vehicle=drive.vehicle.geometry,
-            parameters=drive.vehicle.parameters,
-            handling=drive.vehicle.handling,
-            noise=drive.vehicle.noise,
-        )
+        outcome = summarised_on(drive, section)
         if isinstance(outcome, Summarised):
             return DrivenPassage(
                 name=drive.name,
@@ -189,13 +195,12 @@ def unreadable(name: str, why: str) -> DrivenPassage:
     return DrivenPassage(name, "", float("nan"), None, why, None)
 
 
-def evaluated(driven: Sequence[DrivenPassage], judge: Judge, *, policy: IntervalPolicy | None = None) -> Evaluation:
+def evaluated(driven: Sequence[DrivenPassage], judge: Judge) -> Evaluation:
     """Return what a unit with a bundle would have made of drives, and how far its estimates are from the labels.
 
     Args:
         driven: From `driven_passage` and `unreadable`.
         judge: Of the bundle.
-        policy: The unit's, for the intervals; its default if None.
     """
     asked = [
         (i, each.found, each.section)
@@ -217,7 +222,7 @@ def evaluated(driven: Sequence[DrivenPassage], judge: Judge, *, policy: Interval
         errors_by_section=errors_by(labelled, lambda each: each.section_id),
         errors_by_friction=errors_by(labelled, lambda each: band_of(each.label_mu or 0.0)),
         refusals=dict(sorted(refusals.items())),
-        intervals=section_intervals(passages, policy or IntervalPolicy()),
+        intervals=section_intervals(passages, IntervalPolicy()),
     )
 
 

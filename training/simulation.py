@@ -39,8 +39,9 @@ DRIVING_MODULES = ("training.passage_rows", "training.schedule", "training.every
 """Modules from which all that shapes a run is reached by imports."""
 DRIVES_FOLDER_NAME = "drives"
 SECTIONS_FOLDER_NAME = "sections"
-GARAGE_FOLDER_NAME = "garage"
 """The maps of the roads, beside the full histories: `roadgrip-train evaluate` finds them there."""
+GARAGE_FOLDER_NAME = "garage"
+"""What cars have learned of themselves before they drove."""
 
 
 @dataclass(frozen=True, slots=True)

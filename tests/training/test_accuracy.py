@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from training.accuracy import mape_ratio, relative_rms_ratio, rms_mu
+from training.accuracy import by_group, mape_ratio, relative_rms_ratio, rms_mu
 
 frictions = st.lists(st.floats(0.05, 1.2), min_size=1, max_size=30)
 
@@ -15,6 +15,13 @@ def test_figures_of_known_numbers():
     assert mape_ratio(truth, estimate) == pytest.approx(0.1)
     assert relative_rms_ratio(truth, estimate) == pytest.approx(0.1)
     assert rms_mu(truth, estimate) == pytest.approx(np.sqrt((0.02**2 + 0.05**2) / 2))
+
+
+def test_groups_are_measured_each_for_itself_in_the_order_of_their_names():
+    truth, estimate = np.array([0.2, 0.5, 0.4]), np.array([0.22, 0.5, 0.36])
+    found = by_group(mape_ratio, ["wet", "dry", "wet"], truth_mu=truth, estimate_mu=estimate)
+    assert list(found) == ["dry", "wet"]
+    assert found == pytest.approx({"dry": 0.0, "wet": 0.1})
 
 
 @given(frictions, st.floats(0.5, 2.0))

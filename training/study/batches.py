@@ -184,6 +184,11 @@ def worst_cell(errors: Iterable[CellErrors]) -> CellErrors:
     return max(errors, key=lambda one: math.inf if math.isnan(one.p95_ratio) else one.p95_ratio)
 
 
+def mean_over_cells_ratio(errors: Iterable[CellErrors]) -> float:
+    """Return the mean magnitude of the error, over batches and then over cells; at least one, all of them answered."""
+    return float(np.mean([one.mean_ratio for one in errors]))
+
+
 def published_rule(estimate_mu: FloatArray) -> Rule:
     """Return the rule that the unit runs: the middle of the very interval it publishes, which the median places.
 

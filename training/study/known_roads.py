@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from roadgrip.units import FloatArray
-from training.accuracy import mape_ratio, relative_rms_ratio
+from training.accuracy import by_group, mape_ratio, relative_rms_ratio
 from training.study.chapter import Workbench
 from training.study.feature_selection import SELECTED_COUNT, selected_features
 from training.study.folds import Split, learner, paper_split, recipe_fold_mape_ratio
@@ -58,8 +58,8 @@ def scenario_mape_ratio(split: Split, estimate_mu: FloatArray) -> dict[str, floa
         split: The paper's.
         estimate_mu: Of the held-out tenth. (rows,)
     """
-    where, truth_mu = np.array(split.runs.scenario)[split.test_rows], split.label_mu(split.test_rows)
-    return {name: mape_ratio(truth_mu[where == name], estimate_mu[where == name]) for name in split.scenarios}
+    scenario = [split.runs.scenario[row] for row in split.test_rows.tolist()]
+    return by_group(mape_ratio, scenario, truth_mu=split.label_mu(split.test_rows), estimate_mu=estimate_mu)
 
 
 def known_worst_mape_ratio(bench: Workbench, grade: SensorGrade, recipe: Recipe) -> float:

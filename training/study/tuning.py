@@ -38,7 +38,7 @@ RATE_RANGE, EFFORT_RANGE = (0.01, 0.3), (5.0, 80.0)
 DEPTH_RANGE, ROW_RANGE, COLUMN_RANGE = (3, 8), (0.3, 1.0), (0.1, 1.0)
 LEAF_RANGE, POWER_RANGE = (1.0, 30.0), (0.0, 2.5)
 """What is searched; effort is the sum of the trees' learning rates."""
-START, BEST = "start", "found"
+START, FOUND = "start", "found"
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,7 +181,7 @@ def tune(
     if (missing := trials_count - len(finished())) > 0:
         study.optimize(judge, n_trials=missing, timeout=limit_s, callbacks=[tell])
     found = _boosted_of(study.best_params, start)
-    pairs = [(START, replace(recipe, learn=start)), (BEST, replace(recipe, learn=found))]
+    pairs = [(START, replace(recipe, learn=start)), (FOUND, replace(recipe, learn=found))]
     return Tuned(
         learn=found,
         searched_mape_ratio={g: _pair([_searched(one, both) for _, both in pairs]) for g, one in grounds.items()},
@@ -194,7 +194,7 @@ def document_of(tuned: Tuned, grounds: Mapping[SensorGrade, Grounds], *, seed: i
     """Return what a search came to, as it is committed."""
 
     def by_grade(found: Mapping[SensorGrade, tuple[float, float]]) -> dict[str, dict[str, float]]:
-        return {grade.value: {START: round(a, 6), BEST: round(b, 6)} for grade, (a, b) in found.items()}
+        return {grade.value: {START: round(a, 6), FOUND: round(b, 6)} for grade, (a, b) in found.items()}
 
     return {
         "parameters": asdict(tuned.learn.parameters),

@@ -150,9 +150,9 @@ def groups(names: Sequence[str] = FEATURE_NAMES) -> dict[str, tuple[str, ...]]:
     }
 
 
-def recipes(names: Sequence[str] = FEATURE_NAMES) -> dict[str, Recipe]:
+def recipes() -> dict[str, Recipe]:
     """Return how each group is judged: all alike, by the way of learning of the best regressor."""
-    found = {name: BEST_RECIPE.on(some, name=name) for name, some in groups(names).items()}
+    found = {name: BEST_RECIPE.on(some, name=name) for name, some in groups().items()}
     for channel, prefix in CHANNELS.items():
         if channel != ALL_CHANNELS:
             name, shift = f"{PAPER} and {channel}", f"{prefix}{SHIFT}"
@@ -160,7 +160,7 @@ def recipes(names: Sequence[str] = FEATURE_NAMES) -> dict[str, Recipe]:
             found[name] = Recipe(name, (FIRST_GUESS, shift, *rest), OneChannel(BEST_RECIPE.learn))
     for count in FEWER_COUNTS:
         name = fewer_name(count)
-        found[name] = Recipe(name, BEST_RECIPE.on(names).features, BestByGain(BEST_RECIPE.learn, count))
+        found[name] = Recipe(name, BEST_RECIPE.on(FEATURE_NAMES).features, BestByGain(BEST_RECIPE.learn, count))
     return found
 
 

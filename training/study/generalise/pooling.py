@@ -17,6 +17,7 @@ from training.study.batches import (
     answers_of_cell,
     cells_of,
     errors_of_answers,
+    mean_over_cells_ratio,
     published_rule,
     worst_cell,
 )
@@ -89,7 +90,7 @@ def judged_of(errors: tuple[CellErrors, ...]) -> Judged:
     """Return the errors of all cells in short, at least one; what a rule does not answer is no error."""
     answered = [one for one in errors if one.answered_frac > 0.0]
     return Judged(
-        mean_ratio=float(np.mean([one.mean_ratio for one in answered])) if answered else np.nan,
+        mean_ratio=mean_over_cells_ratio(answered) if answered else np.nan,
         worst=worst_cell(answered or errors),
         answered_frac=float(np.mean([one.answered_frac for one in errors])),
     )

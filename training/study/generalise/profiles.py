@@ -28,6 +28,7 @@ from training.study.batches import (
     batches_of_cell,
     cells_of,
     errors_of_answers,
+    mean_over_cells_ratio,
     published_rule,
     worst_cell,
 )
@@ -140,12 +141,7 @@ def compute(bench: Workbench, grade: SensorGrade) -> Result:
                 there, cells, size_count=size, batches_count=min(count, HELD_BATCHES_COUNT), seed=bench.seed
             )
         for (name, size), errors in found.items():
-            bias = np.abs([one.bias_ratio for one in errors])
-            figures[f"{config}.{name}.{size}.bias_mean"] = float(bias.mean())
-            figures[f"{config}.{name}.{size}.bias_worst"] = float(bias.max())
-            figures[f"{config}.{name}.{size}.mean"] = float(np.mean([one.mean_ratio for one in errors]))
-            figures[f"{config}.{name}.{size}.p95_median"] = float(np.median([one.p95_ratio for one in errors]))
-            figures[f"{config}.{name}.{size}.worst_p95"] = worst_cell(errors).p95_ratio
+            figures |= {f"{config}.{name}.{size}.{what}": value for what, value in _in_short(errors).items()}
         figures[f"headline.{config}.interval50_worst_unseen"] = figures[f"{config}.{CHOSEN}.50.worst_p95"]
         figures[f"headline.{config}.interval50_worst_unseen_median"] = figures[f"{config}.{MEDIAN}.50.worst_p95"]
         tables += [_table(recipe.name, found, size) for size in SIZES_COUNT]
@@ -269,16 +265,25 @@ def _mean_features_rule(
     return midpoints_mu
 
 
+def _in_short(errors: tuple[CellErrors, ...]) -> dict[str, float]:
+    """Return what the errors of all cells come to, by the names of the figures and in the order of the table."""
+    bias = np.abs([one.bias_ratio for one in errors])
+    return {
+        "mean": mean_over_cells_ratio(errors),
+        "bias_mean": float(bias.mean()),
+        "bias_worst": float(bias.max()),
+        "p95_median": float(np.median([one.p95_ratio for one in errors])),
+        "worst_p95": worst_cell(errors).p95_ratio,
+    }
+
+
 def _table(recipe_name: str, found: Errors, size: int) -> Table:
     rows: list[tuple[TableCell, ...]] = []
     for name in (FLOOR, *COMPARED):
         errors = found[name, size]
-        bias = np.abs([one.bias_ratio for one in errors])
-        p95, worst = [one.p95_ratio for one in errors], worst_cell(errors)
-        mean = np.mean([one.mean_ratio for one in errors])
-        figures = (mean, bias.mean(), bias.max(), np.median(p95), worst.p95_ratio)
+        worst = worst_cell(errors)
         where = f"{worst.road} at {worst.base_friction_mu:.2f}, {100.0 * worst.bias_ratio:+.0f}"
-        rows.append((name, *(100.0 * float(figure) for figure in figures), where))
+        rows.append((name, *(100.0 * figure for figure in _in_short(errors).values()), where))
     return Table(
         f"{size} vehicles on unseen random roads, {recipe_name} regressor, in per cent",
         ("rule", "mean error", "mean bias", "worst bias", "typical 95th percentile", "worst one", "there, bias"),

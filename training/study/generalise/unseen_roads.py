@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from roadgrip.units import BoolArray, FloatArray
+from training.accuracy import by_group, mape_ratio
 from training.study.chapter import Cell, Chapter, Claim, Result, Table, Verdict, Workbench
 from training.study.distributions import box_of, cloud_of, identity_line, per_cent
 from training.study.folds import FOLDS_COUNT, PAPER_SET, RANDOM_ROADS_SET
@@ -139,8 +140,8 @@ def selective_mape_ratio(judged: HeldOut, coverages_frac: Sequence[float]) -> tu
 
 def scenario_mape_ratio(judged: HeldOut) -> dict[str, float]:
     """Return the MAPE of every scenario, by name."""
-    names = np.array([judged.runs.scenario[i] for i in judged.rows.tolist()])
-    return {name: float(judged.error_ratio[names == name].mean()) for name in sorted(set(names.tolist()))}
+    scenario = [judged.runs.scenario[row] for row in judged.rows.tolist()]
+    return by_group(mape_ratio, scenario, truth_mu=judged.label_mu, estimate_mu=judged.mu)
 
 
 def _parts(judged: HeldOut) -> dict[str, dict[str, BoolArray]]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from roadgrip.units import FloatArray
-from training.accuracy import mape_ratio, relative_rms_ratio
+from training.accuracy import by_group, mape_ratio, relative_rms_ratio
 from training.dataset import Runs
 from training.regressor import RowIndices
 from training.study.chapter import Cell as TableCell
@@ -57,11 +57,8 @@ def error_of(runs: Runs, rows: RowIndices, estimate_mu: FloatArray) -> Error:
         estimate_mu: Their estimates. (n,)
     """
     truth_mu = runs.labels["label_mu"][rows]
-    scenario = np.array(runs.scenario)[rows]
-    by_scenario = {
-        name: mape_ratio(truth_mu[scenario == name], estimate_mu[scenario == name])
-        for name in sorted(set(scenario.tolist()))
-    }
+    scenario = [runs.scenario[row] for row in rows.tolist()]
+    by_scenario = by_group(mape_ratio, scenario, truth_mu=truth_mu, estimate_mu=estimate_mu)
     worst = max(by_scenario, key=lambda name: by_scenario[name])
     return Error(
         mape_ratio(truth_mu, estimate_mu),

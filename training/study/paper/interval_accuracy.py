@@ -12,6 +12,7 @@ from training.study.batches import (
     CellErrors,
     cells_of,
     errors_by_cell,
+    mean_over_cells_ratio,
     published_rule,
     worst_cell,
 )
@@ -88,7 +89,7 @@ def _figures(found: Mapping[str, ErrorsBySize]) -> dict[str, float]:
     for name, by_size in found.items():
         for size, errors in by_size.items():
             where = f"{name}.{size}"
-            figures[f"mean.{where}"] = float(np.mean([one.mean_ratio for one in errors]))
+            figures[f"mean.{where}"] = mean_over_cells_ratio(errors)
             figures[f"worst_p95.{where}"] = worst_cell(errors).p95_ratio
             figures[f"best_friction_worst_p95.{where}"] = min(c.p95_ratio for c in worst_by_friction(errors).values())
             figures[f"worst.{where}"] = max(one.worst_ratio for one in errors)
@@ -107,7 +108,7 @@ def _size_table(found: Mapping[str, ErrorsBySize]) -> Table:
                 (
                     name,
                     size,
-                    per_cent(float(np.mean([one.mean_ratio for one in errors]))),
+                    per_cent(mean_over_cells_ratio(errors)),
                     per_cent(float(np.mean([one.p95_ratio for one in errors]))),
                     per_cent(worst.p95_ratio),
                     f"{worst.road}, {worst.base_friction_mu:.2f}",
@@ -157,7 +158,7 @@ def _road_table(found: Mapping[str, ErrorsBySize]) -> Table:
         rows.append(
             (
                 road,
-                per_cent(float(np.mean([one.mean_ratio for one in here]))),
+                per_cent(mean_over_cells_ratio(here)),
                 per_cent(worst_cell(here).p95_ratio),
                 per_cent(max((one.bias_ratio for one in here), key=abs)),
                 per_cent(worst_cell(floor).p95_ratio),

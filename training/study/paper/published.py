@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from roadgrip.units import FloatArray
-from training.accuracy import relative_rms_ratio, rms_mu
+from training.accuracy import by_group, relative_rms_ratio, rms_mu
 from training.study.chapter import Cell as TableCell
 from training.study.chapter import Chapter, Claim, Result, Table, Verdict, Workbench
 from training.study.distributions import per_cent
@@ -104,7 +104,7 @@ def compute(bench: Workbench, grade: SensorGrade) -> Result:
     runs = bench.runs(PAPER_SET, grade)
     rows = rows_by_name(runs)
     truth_mu = runs.labels["label_mu"][rows]
-    scenario = np.array(runs.scenario)[rows]
+    scenario = [runs.scenario[row] for row in rows.tolist()]
     estimate_mu = paper_estimates(bench, grade)[rows]
     speed_mu = paper_estimates(bench, grade, features=SPEED_ONLY_RECIPE.features, recipe=SPEED_ONLY_RECIPE)[rows]
     drives = drive_rms_ratio(
@@ -114,10 +114,7 @@ def compute(bench: Workbench, grade: SensorGrade) -> Result:
         drives_count=MADE_UP_DRIVES_COUNT,
         passages_count=PASSAGES_PER_DRIVE_COUNT,
     )
-    by_scenario = {
-        name: relative_rms_ratio(truth_mu[scenario == name], estimate_mu[scenario == name])
-        for name in sorted(set(scenario.tolist()))
-    }
+    by_scenario = by_group(relative_rms_ratio, scenario, truth_mu=truth_mu, estimate_mu=estimate_mu)
     figures = {
         "relative_rms": relative_rms_ratio(truth_mu, estimate_mu),
         "relative_rms.worst_scenario": max(by_scenario.values()),

@@ -14,7 +14,15 @@ import numpy as np
 from roadgrip.units import FloatArray
 from training.chance import chance
 from training.regressor import RowIndices
-from training.study.batches import Cell, CellErrors, cells_of, errors_by_cell, published_rule, worst_cell
+from training.study.batches import (
+    Cell,
+    CellErrors,
+    cells_of,
+    errors_by_cell,
+    mean_over_cells_ratio,
+    published_rule,
+    worst_cell,
+)
 from training.study.chapter import Cell as TableCell
 from training.study.chapter import Chapter, Claim, Result, Table, Verdict, Workbench
 from training.study.distributions import per_cent
@@ -181,7 +189,7 @@ def _in_short(errors: tuple[CellErrors, ...]) -> dict[str, float]:
         return {"bias": np.nan, "mean": np.nan, "worst_p95": np.nan}
     return {
         "bias": float(np.mean([one.bias_ratio for one in errors])),
-        "mean": float(np.mean([one.mean_ratio for one in errors])),
+        "mean": mean_over_cells_ratio(errors),
         "worst_p95": worst_cell(errors).p95_ratio,
     }
 
