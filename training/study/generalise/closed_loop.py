@@ -43,6 +43,7 @@ from training.study.generalise.loop_tables import (
 )
 from training.study.generalise.loop_vehicles import schooled_cars, simulated, terms_of, travellers
 from training.study.generalise.loop_verdict import verdict
+from vehicle_client.estimation.grip.memory import CarMemory
 from vehicle_client.simulator.plan import SensorGrade
 
 ROADS = ("long-turn", "s-turn")
@@ -63,10 +64,16 @@ def courses(bench: Workbench, grade: SensorGrade) -> Courses:
         cases = [
             Case(s.name, models[s.teaching], RULES[s.rule], s.compliance_frac, s.told_ratio) for s in _settings(bench)
         ]
+        # Before the roads: the workbench remembers for one thread at a time.
+        memories = schooled_cars(bench, grade)
         found: dict[str, dict[str, Course]] = {}
+
+        def drive(road: str) -> None:
+            found[road] = _courses_on(road, cases, bench, grade, memories)
+
         bench.report(f"roads of the closed loop, {grade}", 0, len(roads))
         side_by_side(
-            [partial(_drive_road, found, road, cases, bench, grade) for road in roads],
+            [partial(drive, road) for road in roads],
             on_done=lambda done: bench.report(f"roads of the closed loop, {grade}", done, len(roads)),
         )
         return {
@@ -87,10 +94,11 @@ def courses(bench: Workbench, grade: SensorGrade) -> Courses:
     }
 
 
-def _drive_road(
-    found: dict[str, dict[str, Course]], road: str, cases: Sequence[Case], bench: Workbench, grade: SensorGrade
-) -> None:
-    section, terms, memories = read_section(road), terms_of(bench.seed, grade), schooled_cars(bench, grade)
+def _courses_on(
+    road: str, cases: Sequence[Case], bench: Workbench, grade: SensorGrade, memories: Mapping[int, CarMemory]
+) -> dict[str, Course]:
+    """Return how every case goes on a road, by name."""
+    section, terms = read_section(road), terms_of(bench.seed, grade)
     coming = travellers(
         section,
         phases_mu=FRICTIONS_MU,
@@ -99,7 +107,7 @@ def _drive_road(
         terms=terms,
         sensor_seeds=tuple(memories),
     )
-    found[road] = closed_loop(cases, coming, section=section, drive=simulated(section, terms, memories=memories))
+    return closed_loop(cases, coming, section=section, drive=simulated(section, terms, memories=memories))
 
 
 def _phase_s(bench: Workbench) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from dataclasses import replace
 
 import numpy as np
@@ -158,6 +159,21 @@ def test_the_unit_as_it_is_has_a_line_for_each_road_and_compliance(result):
     assert {row[:2] for row in table.rows} == {
         (rule, share) for rule in (HELD, HELD_CUT) for share in (0.0, 50.0, 100.0)
     }
+
+
+def test_cars_learn_before_the_roads_are_driven_side_by_side(monkeypatch):
+    learned_in = []
+
+    def learn(_bench, _grade):
+        learned_in.append(threading.current_thread())
+        return {}
+
+    monkeypatch.setattr(chapter, "QUICK_ROADS", chapter.ROADS)
+    monkeypatch.setattr(chapter, "schooled_cars", learn)
+    monkeypatch.setattr(chapter, "loop_models", lambda *_: dict.fromkeys(teaching.name for teaching in TEACHINGS))
+    monkeypatch.setattr(chapter, "closed_loop", lambda *_, **__: {})
+    assert set(chapter.courses(Desk(data_sets={}), SensorGrade.AUTOMOTIVE)) == set(chapter.ROADS)
+    assert learned_in == [threading.main_thread()]
 
 
 @pytest.mark.sim
