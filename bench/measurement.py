@@ -1,9 +1,10 @@
-"""What the benchmarks share: the roads they measure, the cost of a call, a table to print, figures to keep."""
+"""What the benchmarks share: roads, the cost of a call, a table to print, figures to keep, the name of the machine."""
 
 from __future__ import annotations
 
 import argparse
 import json
+import platform
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
@@ -53,3 +54,13 @@ def keep_figures(path: Path, figures: Mapping[str, object]) -> None:
     """Write figures as JSON; the folder is made if missing."""
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
+
+
+def processor() -> str:
+    """Return the processor's model where the system tells it."""
+    told = Path("/proc/cpuinfo")
+    if told.is_file():
+        for entry in told.read_text(encoding="utf-8").splitlines():
+            if entry.startswith("model name"):
+                return entry.partition(":")[2].strip()
+    return platform.processor() or "unknown"

@@ -27,7 +27,7 @@ if __name__ == "__main__":
     sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from bench.bench_wire import SIGNER
-from bench.measurement import ROADS, cost_s, keep_figures, table_of
+from bench.measurement import ROADS, cost_s, keep_figures, processor, table_of
 from bench.speed import float_loop, with_scipy
 from bench.speed.footprint import fresh_figures, installed, installed_mb, live_figures
 from bench.speed.steps import Steps, our_grip, our_values, statistics_alone, steps_of
@@ -264,16 +264,6 @@ def speed_table(figures: Mapping[str, Any]) -> str:
         ("the first passage of a fresh process", "", f"{fresh['first_passage_ms']:.0f} ms"),
     ]
     return table(("what", "at most", "measured"), rows)
-
-
-def processor() -> str:
-    """Return the processor's model where the system tells it."""
-    told = Path("/proc/cpuinfo")
-    if told.is_file():
-        for entry in told.read_text(encoding="utf-8").splitlines():
-            if entry.startswith("model name"):
-                return entry.partition(":")[2].strip()
-    return platform.processor() or "unknown"
 
 
 def main() -> None:

@@ -23,7 +23,7 @@ import numpy as np
 from scipy.integrate import odeint
 
 from bench.bench_simulator import overall_speed_ratio, speed_of
-from bench.measurement import ROADS, keep_figures, parser_of, table_of
+from bench.measurement import ROADS, keep_figures, parser_of, processor, table_of
 from bench.simulator_oracle import (
     YAW_RATE,
     Manoeuvre,
@@ -150,7 +150,7 @@ def main() -> None:
             "paper_design_minutes": minutes,
             "context": {
                 "command": "python -m bench.simulator_speed",
-                "machine": f"{platform.machine()}, {_processor()}",
+                "machine": f"{platform.machine()}, {processor()}",
                 "versions": {
                     name: importlib.metadata.version(name)
                     for name in ("numba", "numpy", "scipy", "commonroad-vehicle-models")
@@ -167,16 +167,6 @@ def main() -> None:
 
 def _rounded(value: str | float) -> str | float:
     return value if isinstance(value, str) else float(f"{value:.3g}")
-
-
-def _processor() -> str:
-    """Return the processor's model where the system tells it."""
-    told = Path("/proc/cpuinfo")
-    if told.is_file():
-        for entry in told.read_text(encoding="utf-8").splitlines():
-            if entry.startswith("model name"):
-                return entry.partition(":")[2].strip()
-    return platform.processor() or "unknown"
 
 
 def _runge_kutta(

@@ -18,7 +18,7 @@ from rsu_app.domain.interval import IntervalPolicy, friction_interval
 from rsu_app.domain.pooling import PoolingPolicy, RefinedInterval, refined_interval_of_window, support_of_window
 from rsu_app.domain.probing import ProbingPolicy, WindowKnowledge, advise_as_known, marked_interval, standing_after
 from rsu_app.domain.window import WindowRows
-from rsu_app.usecases.section_state import Remembered, SectionState
+from rsu_app.usecases.section_state import SectionState, WindowReading
 
 NEWEST_COUNT = 1_000
 """Vehicles the refined interval looks at, and the published one behind a change: with so many, more make no difference
@@ -68,11 +68,11 @@ class Knowledge:
 
     Attributes:
         interval: What is published; provisional at best where too few vehicles name a friction.
-        remembered: The vehicles, and how far they know the friction.
+        reading: The vehicles, and how far they know the friction.
     """
 
     interval: FrictionInterval
-    remembered: Remembered
+    reading: WindowReading
 
 
 def knowledge(state: SectionState, *, now_s: float, policies: FrictionPolicies) -> Knowledge | None:
@@ -89,13 +89,13 @@ def knowledge(state: SectionState, *, now_s: float, policies: FrictionPolicies) 
     if interval is None:
         return None
     newest = state.window.newest_rows(NEWEST_COUNT)
-    known = state.remembered
-    if known is None or known.newest is not newest or known.counted_from_s != counted_from_s:
+    reading = state.reading
+    if reading is None or reading.newest is not newest or reading.counted_from_s != counted_from_s:
         rows = _since(newest, counted_from_s)
         support = support_of_window(rows, policy=policies.pooling)
         assert support is not None  # noqa: S101 - the window holds a vehicle, or there were no interval
-        known = state.remembered = Remembered(newest, counted_from_s, rows, support)
-    return Knowledge(marked_interval(interval, known.support), known)
+        reading = state.reading = WindowReading(newest, counted_from_s, rows, support)
+    return Knowledge(marked_interval(interval, reading.support), reading)
 
 
 def published_interval(state: SectionState, *, now_s: float, policies: FrictionPolicies) -> FrictionInterval | None:
@@ -115,11 +115,11 @@ def section_friction(state: SectionState, *, now_s: float, policies: FrictionPol
     known = knowledge(state, now_s=now_s, policies=policies)
     if known is None:
         return None
-    remembered = known.remembered
-    refined = remembered.refined or refined_interval_of_window(remembered.rows, policy=policies.pooling)
+    reading = known.reading
+    refined = reading.refined or refined_interval_of_window(reading.rows, policy=policies.pooling)
     assert refined is not None  # noqa: S101 - the window holds a vehicle, or nothing were known
-    remembered.refined = refined
-    counted_from_s = remembered.counted_from_s
+    reading.refined = refined
+    counted_from_s = reading.counted_from_s
     return SectionFriction(
         interval=known.interval,
         refined=refined,
@@ -146,7 +146,7 @@ def section_advisory(
     advisory = advise_as_known(
         state.section,
         interval=None if known is None else known.interval,
-        window=None if known is None else _window_knowledge(state, known.remembered, now_s=now_s),
+        window=None if known is None else _window_knowledge(state, known.reading, now_s=now_s),
         model_live=model_live,
         policy=state.policy,
         probing=policies.probing,
@@ -157,12 +157,12 @@ def section_advisory(
     return advisory
 
 
-def _window_knowledge(state: SectionState, known: Remembered, *, now_s: float) -> WindowKnowledge:
+def _window_knowledge(state: SectionState, reading: WindowReading, *, now_s: float) -> WindowKnowledge:
     # The likelihoods are only asked where few vehicles name a friction.
     likely = None
-    if known.support.at_least:
-        likely = state.likelihoods.placed(now_s=now_s, counted_from_s=known.counted_from_s)
-    return WindowKnowledge(rows=known.rows, support=known.support, likely=likely)
+    if reading.support.at_least:
+        likely = state.likelihoods.placed(now_s=now_s, counted_from_s=reading.counted_from_s)
+    return WindowKnowledge(rows=reading.rows, support=reading.support, likely=likely)
 
 
 def _published(

@@ -27,8 +27,8 @@ from rsu_app.usecases.changes import Subscription
 
 
 @dataclass(slots=True)
-class Remembered:
-    """What the vehicles of a section know, so that it is computed once after each change of the window.
+class WindowReading:
+    """What the vehicles of a window know, read from it once after each of its changes.
 
     Attributes:
         newest: The window's newest entries; another object once the window has changed.
@@ -59,7 +59,7 @@ class SectionState:
         watch: Looks for changes of the friction; None where that is not wanted.
         advisory: What drivers were told last; None before the first time.
         standing: The speed in it and since when it is told.
-        remembered: What the vehicles knew when it was asked for last.
+        reading: What the vehicles knew when it was asked for last.
     """
 
     section: RoadSection
@@ -71,7 +71,7 @@ class SectionState:
     watch: ChangeWatch | None = None
     advisory: Advisory | None = None
     standing: Standing | None = None
-    remembered: Remembered | None = None
+    reading: WindowReading | None = None
 
 
 def section_states(
