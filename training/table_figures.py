@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import pairwise
 
 import numpy as np
 
@@ -13,8 +14,10 @@ from training.conformal import stated_nonconformity_ratio
 from training.dataset import Runs
 from training.designs import ANY_SPEED_SUFFIX, EXACT_SUFFIX, PAPER_ROADS
 from training.error_model import LEAST_MU
+from training.study.generalise.held_out import HIGH_UTILISATION_RATIO
 from training.table_models import (
     FOLDS_COUNT,
+    FRICTION_EDGES_MU,
     LITTLE_USE_RATIO,
     Answers,
     GrownModel,
@@ -22,9 +25,7 @@ from training.table_models import (
     calibrated,
 )
 
-FRICTION_BANDS_MU: tuple[tuple[float, float], ...] = ((0.0, 0.3), (0.3, 0.4), (0.4, 0.5), (0.5, 0.6), (0.6, 1.0))
-HIGH_UTILISATION_RATIO = 0.6
-"""From here on a passage has used enough of the grip to know it."""
+FRICTION_BANDS_MU = tuple(pairwise((0.0, *FRICTION_EDGES_MU, 1.0)))
 
 
 def figures_of(model: GrownModel, drives: LearnedDrives) -> dict[str, float]:

@@ -277,13 +277,25 @@ def ordinary_driving(
         table: Whose features are asked; the newer, the better it tells a manoeuvre.
         without_fold: A fold to keep out, so that it can judge.
     """
-    names = table.names
-    values, sections = drives.runs.columns(names), np.array(drives.runs.section_id)
-    learned = np.ones(len(values), dtype=np.bool_) if without_fold is None else drives.fold != without_fold
-    known, random = learned & drives.known, learned & ~drives.known
-    roads: Sequence[str] = sections[random].tolist()
+    learned = np.ones(len(drives.runs), dtype=np.bool_) if without_fold is None else drives.fold != without_fold
+    return ordinary_by_rows(drives.runs, learned, table=table, seed=seed)
+
+
+def ordinary_by_rows(runs: Runs, learned: BoolArray, *, table: FeatureTable, seed: int) -> OrdinaryDriving:
+    """Return which roads and which driving are ordinary by some rows; the paper's roads are the known ones.
+
+    Args:
+        runs: Drives.
+        learned: Which of them are learned from; all of these have a summary. (n,)
+        table: Whose features are asked.
+        seed: See `learn_whole_envelope`.
+    """
+    names, sections = table.names, np.array(runs.section_id)
+    known = np.isin(sections, PAPER_ROADS)
+    values = runs.columns(names)
+    roads: Sequence[str] = sections[learned & ~known].tolist()
     return learn_whole_envelope(
-        Ordinary(values[known], values[random], tuple(roads), names),
+        Ordinary(values[learned & known], values[learned & ~known], tuple(roads), names),
         road_columns=[feature.name for feature in table.road],
         driving_columns=driving_columns(table),
         seed=seed,

@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from roadgrip.bundle import Conformal, GoldenVectors, ModelManifest, OrdinaryDriving
+from roadgrip.bundle import Conformal, GoldenVectors, ModelManifest
 from roadgrip.features import NEWEST_TABLE, TABLES, FeatureTable
 from roadgrip.units import BoolArray, FloatArray
 from rsu_app.domain.envelope import is_strange_driving, is_strange_road, outside_box
@@ -20,7 +20,6 @@ from training.designs import PAPER_ROADS
 from training.error_model import log_error_ratio
 from training.regressor import RowIndices
 from training.study.chapter import Arrays, Workbench
-from training.study.envelopes import Ordinary, driving_columns, learn_whole_envelope
 from training.study.folds import (
     PAPER_SET,
     RANDOM_ROADS_SET,
@@ -32,7 +31,7 @@ from training.study.folds import (
 )
 from training.study.generalise.held_out import EXPECTED_ERROR, LEAST_ERROR_RATIO
 from training.study.recipes import Estimator, Recipe
-from training.table_models import Answers, calibrated
+from training.table_models import Answers, calibrated, ordinary_by_rows
 from vehicle_client.simulator.plan import SensorGrade
 
 ANY_SPEED_SET = "any-speed"
@@ -185,7 +184,7 @@ def loop_model(bench: Workbench, grade: SensorGrade, teaching: Teaching) -> Loop
             envelope=learn_envelope(drives.runs.columns(table.names)[taught]),
             golden=GoldenVectors(rows=(), mu=(), expected_error_ratio=()),
             conformal=_calibrated(drives, judged, taught),
-            ordinary=None if teaching.in_a_box else _ordinary(drives, taught, table, seed=bench.seed),
+            ordinary=None if teaching.in_a_box else ordinary_by_rows(drives.runs, taught, table=table, seed=bench.seed),
         ),
     )
 
@@ -233,7 +232,7 @@ def what_is_taught(bench: Workbench, grade: SensorGrade, teaching: Teaching) -> 
     def work() -> Arrays:
         table = _table_of(teaching.recipe)
         values, learned = drives.runs.columns(table.names), drives.of(*teaching.data_sets) & (drives.fold != 0)
-        ordinary = _ordinary(drives, learned, table, seed=bench.seed)
+        ordinary = ordinary_by_rows(drives.runs, learned, table=table, seed=bench.seed)
         strange_road = is_strange_road(values, ordinary, table.names)
         return {
             "outside": outside_box(values, learn_envelope(values[learned])).astype(np.float64),
@@ -256,19 +255,6 @@ def _calibrated(drives: Gathered, judged: Answers, taught: BoolArray) -> Conform
     """Return what expected errors mean, as for a bundle: by random roads that nobody had learned. `taught`: (n,)"""
     random = taught & ~np.isin(drives.runs.section_id, PAPER_ROADS)
     return calibrated(judged, drives.runs.labels, rows=random)
-
-
-def _ordinary(drives: Gathered, learned: BoolArray, table: FeatureTable, *, seed: int) -> OrdinaryDriving:
-    """Return what ordinary roads and driving look like in some of the drives. `learned`: (n,)"""
-    known = np.isin(drives.runs.section_id, PAPER_ROADS)
-    values = drives.runs.columns(table.names)
-    roads = np.array(drives.runs.section_id)[learned & ~known]
-    return learn_whole_envelope(
-        Ordinary(values[learned & known], values[learned & ~known], tuple(roads.tolist()), table.names),
-        road_columns=[feature.name for feature in table.road],
-        driving_columns=driving_columns(table),
-        seed=seed,
-    )
 
 
 def _table_of(recipe: Recipe) -> FeatureTable:
