@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from roadgrip.features import FEATURE_NAMES, NEWEST_TABLE
-from roadgrip.units import FloatArray
+from roadgrip.units import BoolArray, FloatArray
 from training.fit_parameters import FitParameters, Target
 from training.regressor import RowIndices, grow_trees
 from training.study.chapter import Arrays, Cell, Chapter, Claim, Result, Table, Verdict, Workbench
@@ -182,7 +182,6 @@ def compute(bench: Workbench, grade: SensorGrade) -> Result:
         error[name] = np.abs(_estimates(bench, grade, recipe) / label - 1.0)
     spread = {name: mean_by_road(values - error[ALL], roads) for name, values in error.items()}
     standard = {name: float(values.std(ddof=1) / np.sqrt(len(values))) for name, values in spread.items()}
-    bands = by_use(used)
     mape = {name: float(values.mean()) for name, values in error.items()}
     ranked = _ranked(bench, grade)
     figures = {f"mape.{name}": value for name, value in mape.items()}
@@ -202,33 +201,7 @@ def compute(bench: Workbench, grade: SensorGrade) -> Result:
             "features in all": len(FEATURE_NAMES),
             "seed": bench.seed,
         },
-        tables=(
-            Table(
-                "MAPE on roads never seen by group of features, in %",
-                ("features", "floats", "of them sent", "MAPE", "more than everything", "+-", *bands),
-                tuple(
-                    (
-                        name,
-                        *floats_counts(judged[name]),
-                        per_cent(mape[name]),
-                        per_cent(mape[name] - mape[ALL]),
-                        per_cent(standard[name]),
-                        *(per_cent(error[name][chosen].mean()) if chosen.any() else None for chosen in bands.values()),
-                    )
-                    for name in judged
-                ),
-                note="All learned in the same way, that of the best regressor. What the map says is not sent. The last "
-                "columns: by the largest share of the grip used. +-: one standard error of the difference, over roads. "
-                f"The best {listed([str(count) for count in FEWER_COUNTS])} are found by gain, in each fold anew, on "
-                "the roads that are learned from.",
-            ),
-            Table(
-                f"The {NAMED_COUNT} features that trees gain most from",
-                ("place", "feature"),
-                tuple((place, name) for place, name in enumerate(ranked[:NAMED_COUNT], start=1)),
-                note="By total gain, on all random roads. Features that say nearly the same share their gain.",
-            ),
-        ),
+        tables=(_group_table(judged, error, standard, by_use(used)), _ranked_table(ranked)),
         pictures=(
             Bars(
                 f"MAPE on roads never seen by group of features, {grade} sensors",
@@ -238,6 +211,51 @@ def compute(bench: Workbench, grade: SensorGrade) -> Result:
                 (("all passages", tuple(per_cent(mape[name]) for name in judged)),),
             ),
         ),
+    )
+
+
+def _group_table(
+    judged: Mapping[str, Recipe],
+    error: Mapping[str, FloatArray],
+    standard: Mapping[str, float],
+    bands: Mapping[str, BoolArray],
+) -> Table:
+    """Return the errors of all groups.
+
+    Args:
+        judged: How each group was judged.
+        error: Magnitude of the error of each passage, relative to the truth, by group. Each (m,)
+        standard: Standard error of a group's difference from everything.
+        bands: Which passages used how much of the grip. Each (m,)
+    """
+    everything = float(error[ALL].mean())
+    return Table(
+        "MAPE on roads never seen by group of features, in %",
+        ("features", "floats", "of them sent", "MAPE", "more than everything", "+-", *bands),
+        tuple(
+            (
+                name,
+                *floats_counts(recipe),
+                per_cent(float(error[name].mean())),
+                per_cent(float(error[name].mean()) - everything),
+                per_cent(standard[name]),
+                *(per_cent(error[name][chosen].mean()) if chosen.any() else None for chosen in bands.values()),
+            )
+            for name, recipe in judged.items()
+        ),
+        note="All learned in the same way, that of the best regressor. What the map says is not sent. The last "
+        "columns: by the largest share of the grip used. +-: one standard error of the difference, over roads. "
+        f"The best {listed([str(count) for count in FEWER_COUNTS])} are found by gain, in each fold anew, on the roads "
+        "that are learned from.",
+    )
+
+
+def _ranked_table(ranked: Sequence[str]) -> Table:
+    return Table(
+        f"The {NAMED_COUNT} features that trees gain most from",
+        ("place", "feature"),
+        tuple(enumerate(ranked[:NAMED_COUNT], start=1)),
+        note="By total gain, on all random roads. Features that say nearly the same share their gain.",
     )
 
 

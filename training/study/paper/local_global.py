@@ -243,22 +243,36 @@ def _pictures(
         )
         for scope in (GLOBAL, LOCAL)
     )
-    shape = shape_of(residual[SELECTED, GLOBAL])
+    return (
+        boxes,
+        *scatters,
+        *residuals,
+        _distribution({scope: residual[SELECTED, scope] for scope in (GLOBAL, LOCAL)}, grade=grade),
+    )
+
+
+def _distribution(residual: Mapping[str, FloatArray], *, grade: SensorGrade) -> Bars:
+    """Return how residuals are distributed beside a bell as wide as the global regressor's.
+
+    Args:
+        residual: In per cent of the truth, by scope. Each (n,)
+        grade: Of the sensors.
+    """
+    shape = shape_of(residual[GLOBAL])
     centres = 0.5 * (RESIDUAL_EDGES[:-1] + RESIDUAL_EDGES[1:])
-    distribution = Bars(
+    return Bars(
         f"Distribution of the residuals, 15 features, {grade} sensors",
         "estimate minus truth in % of the truth; the outer bins hold all beyond",
         Axis("share of runs in %", low=0.0),
         tuple(f"{centre:g}" for centre in centres),
         (
-            *histogram_of({scope: residual[SELECTED, scope] for scope in (GLOBAL, LOCAL)}, edge_values=RESIDUAL_EDGES),
+            *histogram_of(dict(residual), edge_values=RESIDUAL_EDGES),
             (
                 "normal, as wide as global",
                 bell_shares(mean_value=shape.mean_value, std_value=shape.std_value, edge_values=RESIDUAL_EDGES),
             ),
         ),
     )
-    return (boxes, *scatters, *residuals, distribution)
 
 
 def verdict(results: Mapping[SensorGrade, Result]) -> Verdict:

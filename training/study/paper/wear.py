@@ -131,6 +131,7 @@ def compute(bench: Workbench, grade: SensorGrade) -> Result:
             for kind, mu in kinds.items()
         }
         bench.report(f"supposed wear, {grade}", done + 1, len(SUPPOSED))
+    what = f"{SIZE_COUNT} vehicles by the tyres that pass, {grade} sensors"
     return Result(
         figures={
             f"{figure}.{kind}.{name}": value
@@ -148,26 +149,26 @@ def compute(bench: Workbench, grade: SensorGrade) -> Result:
         },
         tables=(_table(found),),
         pictures=(
-            Bars(
-                f"Bias of the interval of 50 vehicles by the tyres that pass, {grade} sensors",
-                "tyres",
-                Axis("mean signed error in %"),
-                tuple(found),
-                tuple(
-                    (kind, tuple(per_cent(_in_short(by_kind[kind])["bias"]) for by_kind in found.values()))
-                    for kind in kinds
-                ),
-            ),
-            Bars(
-                f"Error of the interval of 50 vehicles by the tyres that pass, {grade} sensors",
-                "tyres",
+            _bars(found, "bias", f"Bias of the interval of {what}", Axis("mean signed error in %")),
+            _bars(
+                found,
+                "worst_p95",
+                f"Error of the interval of {what}",
                 Axis("95th percentile, worst cell, in %", low=0.0),
-                tuple(found),
-                tuple(
-                    (kind, tuple(per_cent(_in_short(by_kind[kind])["worst_p95"]) for by_kind in found.values()))
-                    for kind in kinds
-                ),
             ),
+        ),
+    )
+
+
+def _bars(found: Mapping[str, Mapping[str, tuple[CellErrors, ...]]], figure: str, title: str, y_axis: Axis) -> Bars:
+    return Bars(
+        title,
+        "tyres",
+        y_axis,
+        tuple(found),
+        tuple(
+            (kind, tuple(per_cent(_in_short(by_kind[kind])[figure]) for by_kind in found.values()))
+            for kind in (ESTIMATES, FLOOR)
         ),
     )
 
