@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from roadgrip.section import BankOrigin, RoadSection, build_section
 from roadgrip.units import FloatArray, kph_to_mps
 from rsu_app.domain.plausibility import summary_values
 from rsu_app.ports import CountablePassage, Estimates, Event, PassageEntry, StoreCounts, StoredEstimate
-from tests.bundles import BIAS_MU, ERROR_BIAS_RATIO, ERROR_WEIGHTS, linear_mu, make_manifest
+from tests.bundles import BIAS_MU, CONFORMAL, ERROR_BIAS_RATIO, ERROR_WEIGHTS, linear_mu, make_manifest
 
 NOON_UNIX_S = 1_767_268_800.0
 """2026-01-01 12:00 UTC."""
@@ -62,6 +63,18 @@ class FakeModel:
         if model.conformal is None:
             return Estimates(mu, None)
         return Estimates(mu, linear_mu(rows, weights=ERROR_WEIGHTS, bias_mu=ERROR_BIAS_RATIO, table=table))
+
+
+class WaveringModel(FakeModel):
+    """Expects an error that makes every estimate doubtful, once it wavers."""
+
+    def __init__(self) -> None:
+        super().__init__(make_manifest(model=b"a fake has no file", conformal=CONFORMAL))
+        self.wavers = False
+
+    def estimate(self, table_digest: str, rows: FloatArray) -> Estimates:
+        answer = super().estimate(table_digest, rows)
+        return replace(answer, expected_error_ratio=np.full(len(rows), 0.5)) if self.wavers else answer
 
 
 class FakeStore:

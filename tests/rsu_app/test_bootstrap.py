@@ -17,11 +17,15 @@ from roadgrip.section import GnssAnchor, build_section
 from rsu_app.adapters.http.app import create_app
 from rsu_app.adapters.store import standby
 from rsu_app.bootstrap import Parts, build, check_maps, load_keys, load_sections, observe, site_of_parts
+from rsu_app.domain.advisory import AdvisoryPolicy
+from rsu_app.domain.change import ChangePolicy
+from rsu_app.domain.interval import IntervalPolicy
 from rsu_app.domain.probing import ProbingPolicy
 from rsu_app.observability import Metrics
 from rsu_app.settings import load_settings
+from rsu_app.usecases import FrictionPolicies
 from tests.bundles import make_bundle
-from tests.rsu_app.fakes import make_passage
+from tests.rsu_app.fakes import WaveringModel, make_passage
 from tests.rsu_app.sites import passage_json
 
 
@@ -152,6 +156,21 @@ def test_gauges_show_the_interval_and_nothing_where_there_is_none(folder):
     asyncio.run(scenario())
 
 
+def test_a_gauge_shows_that_too_few_vehicles_name_a_friction(folder):
+    async def scenario() -> None:
+        parts, model = parts_of(folder), WaveringModel()
+        await parts.unit.switch_model(model)
+        model.wavers = True
+        (section,) = load_sections(parts.settings)
+        for seed in range(12):
+            await parts.unit.ingest_passage(make_passage(section, seed=seed))
+        await observe(parts)
+        assert parts.metrics.registry.get_sample_value("roadgrip_interval_at_least", {"section": "long-turn"}) == 1
+        await parts.unit.close()
+
+    asyncio.run(scenario())
+
+
 def test_each_section_has_its_own_winter_speed(folder):
     async def scenario() -> None:
         sections = '[[sections]]\nfile = "s-turn"\nwinter_speed_mps = 11.2\n[[sections]]\nfile = "long-turn"\n'
@@ -183,12 +202,41 @@ def test_changes_are_looked_for_where_that_is_chosen(folder, enabled):
     asyncio.run(scenario())
 
 
-def test_what_is_chosen_about_probing_reaches_the_unit(folder):
+CHOSEN = """
+[window]
+provisional_from_count = 3
+recommended_from_count = 4
+stale_after_s = 500.0
+valid_at_most_s = 50.0
+[probing]
+evidence_count = 25
+likely_count = 30
+[change_detection]
+enabled = true
+lag_count = 9
+[advisory]
+winter_speed_mps = 12.0
+utilisation_frac = 0.5
+rise_margin_mps = 0.25
+valid_for_s = 200.0
+"""
+
+
+def test_what_is_chosen_reaches_the_unit(folder):
     async def scenario() -> None:
-        parts = parts_of(folder, "[probing]\nevidence_count = 25\nlikely_count = 30\n")
-        chosen = parts.unit._friction_policies.probing  # noqa: SLF001 - what it does with it is the domain's to test
-        assert chosen == ProbingPolicy(evidence_count=25, likely_count=30)
-        await parts.unit.close()
+        unit = parts_of(folder, CHOSEN).unit
+        assert unit._friction_policies == FrictionPolicies(  # noqa: SLF001 - what follows is the domain's to test
+            interval=IntervalPolicy(
+                provisional_from_count=3, recommended_from_count=4, stale_after_s=500.0, valid_at_most_s=50.0
+            ),
+            probing=ProbingPolicy(evidence_count=25, likely_count=30),
+            change=ChangePolicy(lag_count=9),
+        )
+        (state,) = unit._states.values()  # noqa: SLF001 - same
+        assert state.policy == AdvisoryPolicy(
+            winter_speed_mps=12.0, utilisation_frac=0.5, rise_margin_mps=0.25, valid_for_s=200.0
+        )
+        await unit.close()
 
     asyncio.run(scenario())
 

@@ -13,12 +13,13 @@ import pytest
 from roadgrip.features import NEWEST_TABLE, PROFILE_FLOOR, PROFILE_FRICTIONS_MU
 from roadgrip.reasons import Reason
 from roadgrip.records import AdvisoryReason, Confidence, NotCounted
+from roadgrip.units import kph_to_mps
+from rsu_app.domain.advisory import STEP_KPH, AdvisoryPolicy, curve_speed_mps
 from rsu_app.domain.change import ChangePolicy
 from rsu_app.ports import CountablePassage
 from rsu_app.usecases import FrictionPolicies, SectionFriction, UnitLimits
 from rsu_app.usecases.section_friction import NEWEST_COUNT
-from tests.bundles import CONFORMAL, make_manifest
-from tests.rsu_app.fakes import FakeClock, FakeModel, FakeStore, make_passage
+from tests.rsu_app.fakes import FakeClock, FakeStore, WaveringModel, make_passage
 from tests.rsu_app.usecases.site import SECTION, Site, flags_of, reason_of
 
 GRIP_PROFILE_PLACES = [place for place, name in enumerate(NEWEST_TABLE.names) if name.startswith("grip_profile_")]
@@ -57,18 +58,6 @@ def test_the_refined_interval_stands_near_the_published_one():
     assert friction.refined.informative_count == 40
     assert not friction.at_least
     assert friction.since_change_s is None
-
-
-class WaveringModel(FakeModel):
-    """Expects an error that makes every estimate doubtful, once it wavers."""
-
-    def __init__(self):
-        super().__init__(make_manifest(model=b"a fake has no file", conformal=CONFORMAL))
-        self.wavers = False
-
-    def estimate(self, table_digest, rows):
-        answer = super().estimate(table_digest, rows)
-        return replace(answer, expected_error_ratio=np.full(len(rows), 0.5)) if self.wavers else answer
 
 
 def test_where_hardly_anybody_names_a_friction_the_interval_is_marked():
@@ -222,13 +211,54 @@ def test_what_hardly_anybody_supports_is_provisional_and_its_advice_is_held():
     assert after.speed_mps == before.speed_mps
 
 
-def likelihoods_of_ice(values):
-    """The values of a passage, with a likelihood that peaks on ice."""
+def with_likelihoods_of_ice(passage):
+    """The passage, with a likelihood that peaks on ice."""
     profile_ratio = -np.square(np.log(np.array(PROFILE_FRICTIONS_MU) / 0.12)) / (2.0 * 0.3**2)
-    changed = list(values)
+    values = list(passage.summary.values)
     for place, ratio in zip(GRIP_PROFILE_PLACES, np.maximum(profile_ratio, PROFILE_FLOOR).tolist(), strict=True):
-        changed[place] = float(np.float32(ratio))
-    return tuple(changed)
+        values[place] = float(np.float32(ratio))
+    return replace(passage, summary=replace(passage.summary, values=tuple(values)))
+
+
+def test_likelihoods_from_before_a_change_do_not_bound_the_advice_after_it():
+    model = WaveringModel()
+    site = Site(model=model, friction_policies=WATCHED)
+
+    async def story():
+        for seed in range(40):
+            site.clock.advance(30.0)
+            passage = make_passage(SECTION, seed=seed, mu=0.2)
+            await site.unit.ingest_passage(with_likelihoods_of_ice(passage))
+        await traffic(site, mu_new=0.6, count=20, every_s=30.0, first_seed=100)
+        model.wavers = True
+        await traffic(site, mu_new=0.6, count=35, every_s=30.0, first_seed=200)
+
+    asyncio.run(story())
+    friction = friction_of(site)
+    assert friction.at_least
+    assert friction.since_change_s is not None
+    of_all = site.state().likelihoods.placed(now_s=site.clock.monotonic_s())
+    assert of_all is not None
+    assert not of_all.at_least
+    on_ice_mps = curve_speed_mps(SECTION, mu=of_all.mu_low, utilisation_frac=AdvisoryPolicy().utilisation_frac)
+    assert site.advisory().speed_mps > on_ice_mps + kph_to_mps(STEP_KPH)
+
+
+def test_a_change_that_nothing_tells_of_any_more_no_longer_cuts_what_stands_beside_the_interval():
+    site = Site(friction_policies=WATCHED)
+
+    async def story():
+        await traffic(site, mu_new=0.6, count=14, every_s=1.0, first_seed=100)
+        site.clock.advance(10_000.0)
+        await traffic(site, mu_new=0.6, count=4, every_s=1.0, first_seed=200)
+        await traffic(site, mu_new=0.2, count=8, every_s=1.0, first_seed=300)
+
+    asyncio.run(story())
+    cut = friction_of(site)
+    assert cut.interval.passages_count == cut.refined.informative_count == 10
+    site.clock.advance(1_000.0)
+    whole = friction_of(site)
+    assert whole.interval.passages_count == whole.refined.informative_count == 12
 
 
 class OldTableStore(FakeStore):
@@ -248,8 +278,7 @@ def test_after_a_restart_likelihoods_still_tell_of_ice():
         for seed in range(30):
             site.clock.advance(30.0)
             passage = make_passage(SECTION, seed=seed, mu=0.6)
-            values = likelihoods_of_ice(passage.summary.values)
-            outcome = await site.unit.ingest_passage(replace(passage, summary=replace(passage.summary, values=values)))
+            outcome = await site.unit.ingest_passage(with_likelihoods_of_ice(passage))
             assert flags_of(outcome) == NotCounted.NONE
         model.wavers = False  # or it would not start
         old_store = OldTableStore()

@@ -139,6 +139,12 @@ def test_a_bound_from_above_that_is_not_there_is_null():
     shown = refined_model(refined)
     assert shown.half_width_mu is None
     assert shown.at_least
+    assert not shown.clipped
+
+
+def test_that_the_median_held_it_back_is_told():
+    refined = RefinedInterval(0.4, 0.5, 0.1, informative_count=9, censored_count=1, clipped=True)
+    assert refined_model(refined).clipped
 
 
 def test_a_receipt_says_what_became_of_the_passage_and_never_the_estimate():
