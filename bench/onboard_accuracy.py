@@ -22,7 +22,7 @@ from typing import Any
 
 from bench.onboard.chapters import CHAPTERS, InputMissingError, drawn, table_maker
 from training.code_identity import code_digest
-from training.marked_tables import rounded, with_tables
+from training.marked_tables import in_four_digits, with_tables
 from training.workers import executor
 from vehicle_client.simulator.run import compiled_cache_key, warm_up
 
@@ -84,7 +84,7 @@ def made(chapter: str) -> tuple[dict[str, Any] | None, str]:
         return None, f"{_KEPT}: {missing}"
     except Exception:  # noqa: BLE001 - said and counted by the caller
         return None, f"failed\n{traceback.format_exc()}"
-    return rounded(figures) | code, f"{time.monotonic() - begun_s:.0f} s"
+    return in_four_digits(figures) | code, f"{time.monotonic() - begun_s:.0f} s"
 
 
 def kept_figures() -> dict[str, Any]:

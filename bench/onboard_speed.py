@@ -35,7 +35,7 @@ from roadgrip.records import Passage
 from roadgrip.section import RoadSection
 from roadgrip.sections import read_section
 from roadgrip.units import SAMPLE_S, FloatArray
-from training.marked_tables import rounded, table, with_tables
+from training.marked_tables import in_four_digits, table, with_tables
 from vehicle_client.estimation.trace import Trace
 from vehicle_client.pipeline import Summarised, summarise_passage
 from vehicle_client.shell.codec import WireCodec
@@ -279,7 +279,7 @@ def main() -> None:
     print(table_of(comparison, number_format=".3g"))
     taken = footprint(with_install=not arguments.without_install)
     fresh, live, disk = taken["fresh_process"], taken["live_process"], taken["install"]
-    figures = rounded(
+    figures = in_four_digits(
         {
             "passage_40s_ms": max(float(row["whole_ms"]) for row in passages),
             "times_float_loop": min(float(row["times_float_loop"]) for row in comparison),

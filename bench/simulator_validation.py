@@ -18,7 +18,7 @@ from typing import Any
 
 from bench.validation import body, limits, oracle, roughness, time_step, tyre, whole_drive
 from bench.validation.tables import page_with_tables
-from training.marked_tables import rounded
+from training.marked_tables import in_four_digits
 from vehicle_client.simulator.run import compiled_cache_key, warm_up
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -53,7 +53,7 @@ def main() -> None:
         print(f"[{k + 1}/{len(asked)}] {chapter}", flush=True)
         begun_s = time.monotonic()
         # Each chapter says which simulator it saw: one can be remade without the others.
-        figures[chapter] = rounded(CHAPTERS[chapter](RESULTS_FOLDER)) | {"simulator": compiled_cache_key()}
+        figures[chapter] = in_four_digits(CHAPTERS[chapter](RESULTS_FOLDER)) | {"simulator": compiled_cache_key()}
         print(f"    {time.monotonic() - begun_s:.0f} s", flush=True)
     ordered = {chapter: figures[chapter] for chapter in CHAPTERS if chapter in figures}
     path.write_text(json.dumps(ordered, indent=1) + "\n", encoding="utf-8")

@@ -12,7 +12,9 @@ import numpy as np
 
 from roadgrip.units import BoolArray, FloatArray
 from training.dataset import COMPLETED, Runs
+from training.rounding import rounded
 
+DIGITS_COUNT = 6
 UTILISATION_LEVELS = (0.05, 0.25, 0.5, 0.75, 0.95)
 REJECTED_PREFIX = "rejected_"
 ALL_SCENARIOS = "all"
@@ -111,7 +113,7 @@ def to_json(cells: tuple[Cell, ...], *, origin: Mapping[str, str]) -> dict[str, 
             for cell in cells
             if not cell.feasible
         ],
-        "cells": [_rounded(asdict(cell)) for cell in cells],
+        "cells": [rounded(asdict(cell), digits_count=DIGITS_COUNT) for cell in cells],
     }
 
 
@@ -172,9 +174,3 @@ def _figure(name: str, value: str) -> str | float | None:
     if not name.endswith(("_count", "_s", "seed")):
         return value
     return None if value == "" else float(value) if name.endswith("_s") else int(value)
-
-
-def _rounded(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {name: _rounded(inner) for name, inner in value.items()}
-    return float(f"{value:.6g}") if isinstance(value, float) else value

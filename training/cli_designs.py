@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-import platform
 from collections import Counter
-from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -20,7 +18,7 @@ from training import simulation
 from training.cells import Cell, by_friction, cells_of, to_json, to_text
 from training.dataset import RUNS_FILE_NAME, SHARDS_FOLDER_NAME, DatasetError, Runs, read_description, read_runs
 from training.designs import DESIGNS, Size, named_design, sections_design
-from training.machine import processor_model
+from training.machine import origin_of_drives
 from training.scenarios import Design, Terms
 from vehicle_client.simulator.plan import DriverKind, SensorGrade
 
@@ -165,12 +163,6 @@ def cells(
 
 def drive(design: Design, folder: Path, *, workers: int | None, command: str, raw: bool = False) -> Runs:
     """Drive a design behind a progress bar and return its runs."""
-    provenance = {
-        "command": command,
-        "processor": processor_model(),
-        "python": platform.python_version(),
-        **{f"version.{tool}": version(tool) for tool in ("roadgrip", "numpy", "numba")},
-    }
     with progress_bar() as bar:
         task = bar.add_task(f"driving {design.name}, compiling first", total=None, rate="")
 
@@ -181,7 +173,12 @@ def drive(design: Design, folder: Path, *, workers: int | None, command: str, ra
             bar.update(task, description=doing, total=now.wanted_count, completed=now.done_count, rate=rate)
 
         return simulation.drive_design(
-            design, folder, workers_count=workers, with_drives=raw, provenance=provenance, on_progress=show
+            design,
+            folder,
+            workers_count=workers,
+            with_drives=raw,
+            provenance=origin_of_drives(command),
+            on_progress=show,
         )
 
 

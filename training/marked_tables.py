@@ -6,6 +6,8 @@ import re
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from training.rounding import rounded
+
 _MARKED = re.compile(r"(<!-- table: ([a-z_.]+) -->\n)(.*?)(<!-- end of table -->)", re.DOTALL)
 _DIGITS_COUNT = 4
 
@@ -46,12 +48,6 @@ def percent(ratio: float, *, digits: int = 1) -> str:
     return f"{100.0 * ratio:.{digits}f} %"
 
 
-def rounded(value: Any) -> Any:
-    """Return figures with four digits, whatever holds them."""
-    if isinstance(value, dict):
-        return {key: rounded(inner) for key, inner in value.items()}
-    if isinstance(value, list | tuple):
-        return [rounded(inner) for inner in value]
-    if isinstance(value, float):
-        return float(f"{value:.{_DIGITS_COUNT}g}")
-    return value
+def in_four_digits(figures: Any) -> Any:
+    """Return figures as pages tell them, whatever holds them."""
+    return rounded(figures, digits_count=_DIGITS_COUNT)

@@ -2,7 +2,7 @@
 
 import math
 
-from training.marked_tables import marks_of, percent, rounded, table, with_tables
+from training.marked_tables import in_four_digits, marks_of, percent, table, with_tables
 
 PAGE = """before
 <!-- table: one.cells -->
@@ -40,7 +40,10 @@ def test_a_table_has_a_line_per_row():
 
 
 def test_figures_keep_four_digits_wherever_they_are():
-    assert rounded({"a": [0.123456, (1234567.0, 3)], "b": "text"}) == {"a": [0.1235, [1235000.0, 3]], "b": "text"}
+    assert in_four_digits({"a": [0.123456, (1234567.0, 3)], "b": "text"}) == {
+        "a": [0.1235, [1235000.0, 3]],
+        "b": "text",
+    }
 
 
 def test_percent_says_so():
@@ -49,4 +52,4 @@ def test_percent_says_so():
 
 
 def test_what_is_not_a_number_stays_none():
-    assert math.isnan(rounded(math.nan))
+    assert math.isnan(in_four_digits(math.nan))

@@ -23,7 +23,7 @@ from training.report.wording import (
     without_grade,
 )
 from training.study.chapter import Table
-from training.study.documents import document_of, rounded
+from training.study.documents import document_of, in_short
 from training.study.finding import Finding
 from training.study.picture import Picture
 from training.study.registry import PART_TITLES, Part
@@ -100,7 +100,7 @@ def chapter_document(finding: Finding) -> dict[str, Any]:
         "defects": list(finding.defects),
         "results": results,
     }
-    plain: dict[str, Any] = rounded(document)
+    plain: dict[str, Any] = in_short(document)
     return plain
 
 
@@ -109,7 +109,7 @@ def csv_of(table: Table) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(table.columns)
-    writer.writerows([["" if cell is None else rounded(cell) for cell in row] for row in table.rows])
+    writer.writerows([["" if cell is None else in_short(cell) for cell in row] for row in table.rows])
     return text.getvalue()
 
 

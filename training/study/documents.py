@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from training.rounding import rounded
 from training.study.chapter import Cell, Result, Table
 from training.study.picture import Axis, Bars, Box, Boxes, Cloud, Line, Lines, Picture, Scatter
 
@@ -71,13 +72,9 @@ def picture_of(document: Mapping[str, Any]) -> Picture:
             raise KeyError(f"no kind of picture: {kind}")
 
 
-def rounded(value: Any) -> Any:
+def in_short(document: Any) -> Any:
     """Return a document with its numbers rounded to six digits, for files that people compare."""
-    if isinstance(value, dict):
-        return {name: rounded(inner) for name, inner in value.items()}
-    if isinstance(value, list):
-        return [rounded(inner) for inner in value]
-    return float(f"{value:.{DIGITS_COUNT}g}") if isinstance(value, float) else value
+    return rounded(document, digits_count=DIGITS_COUNT)
 
 
 def _plain(value: Any) -> Any:

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from training.study.documents import rounded
+from training.study.documents import in_short
 from training.study.finding import Finding
 from vehicle_client.simulator.plan import SensorGrade
 
@@ -170,7 +170,7 @@ def summary(findings: Sequence[Finding], *, seed: int, quick: bool, version: str
         }
         for finding in findings
     }
-    plain: dict[str, Any] = rounded(document)
+    plain: dict[str, Any] = in_short(document)
     return plain
 
 

@@ -5,11 +5,9 @@ from __future__ import annotations
 import fcntl
 import hashlib
 import json
-import platform
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from importlib.metadata import version
 from pathlib import Path
 from typing import Protocol
 
@@ -21,7 +19,7 @@ from training.cars import Garage, Lives
 from training.dataset import LABEL_COLUMNS, RUNS_FILE_NAME, DatasetError, Runs, read_description
 from training.designs import BASE_FRICTIONS_MU, named_design
 from training.life_simulation import is_lived, live, lives_description
-from training.machine import processor_model
+from training.machine import origin_of_drives
 from training.scenarios import Design, Scenario, Terms, attempted
 from training.simulation import GARAGE_FOLDER_NAME, Progress, design_description, drive_design
 from training.study.datasets import DATA_SETS, GARAGE_GROUPS_COUNT, GARAGE_QUICK_GROUPS_COUNT, Cars, DataSet
@@ -90,12 +88,7 @@ class DesignSource:
         if lives is None and not self.design(name, grade).scenarios:
             return no_runs()
         folder = self.folder_of(name, grade)
-        provenance = {
-            "command": f"data set {name} of roadgrip-train study",
-            "processor": processor_model(),
-            "python": platform.python_version(),
-            **{f"version.{tool}": version(tool) for tool in ("roadgrip", "numpy", "numba")},
-        }
+        provenance = origin_of_drives(f"data set {name} of roadgrip-train study")
 
         def tell(now: Progress) -> None:
             on_progress(now.done_count, now.wanted_count)

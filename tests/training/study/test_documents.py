@@ -9,7 +9,7 @@ import pytest
 
 from tests.training.study.fake_chapters import fake_result
 from training.study.chapter import Result, Table
-from training.study.documents import document_of, picture_of, result_of, rounded
+from training.study.documents import document_of, in_short, picture_of, result_of
 from training.study.picture import Axis, Line, Lines
 
 
@@ -44,7 +44,7 @@ def test_what_is_no_finite_number_comes_back_as_none_at_all(value):
 
 
 def test_rounding_keeps_six_digits_and_all_else():
-    assert rounded({"a": [0.123456789, 3, "x", None, True]}) == {"a": [0.123457, 3, "x", None, True]}
+    assert in_short({"a": [0.123456789, 3, "x", None, True]}) == {"a": [0.123457, 3, "x", None, True]}
 
 
 def test_a_picture_of_no_kind_is_refused():
