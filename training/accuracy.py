@@ -9,6 +9,9 @@ import numpy as np
 
 from roadgrip.units import FloatArray
 
+FEWEST_ROADS = 10
+"""Errors on fewer roads say nothing about the next one."""
+
 Measure: TypeAlias = Callable[[FloatArray, FloatArray], float]
 """From truth and estimates to a figure of merit."""
 

@@ -190,7 +190,8 @@ def _table_of_version(number: int) -> FeatureTable:
 
 
 def _fit(runs: Runs, parameters: FitParameters) -> Fitted:
-    from training.regressor import FEWEST_ROADS, ROAD_FOLDS_COUNT, fit, mape_ratio_on_unseen_roads
+    from training.accuracy import FEWEST_ROADS
+    from training.regressor import ROAD_FOLDS_COUNT, fit, mape_ratio_on_unseen_roads
 
     with progress_bar() as bar:
         task = bar.add_task(f"growing trees on {int(runs.usable.sum())} runs", total=parameters.trees_count, rate="")

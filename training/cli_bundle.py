@@ -18,6 +18,7 @@ from rich.progress import Progress, TaskID
 
 from roadgrip.bundle import MANIFEST_NAME, BundleManifest, manifest_from_json
 from roadgrip.errors import BundleError
+from training.accuracy import FEWEST_ROADS
 from training.bundle_card import CARD_NAME, card_of
 from training.cars import Garage
 from training.cells import cells_of
@@ -48,7 +49,6 @@ DEFAULT_BUNDLE_FOLDER = Path(str(files("rsu_app") / "default_bundle"))
 DEFAULT_RUNS_COUNT = 160
 DEFAULT_RANDOM_ROADS_COUNT = 360
 RANDOM_RUNS_COUNT = 2
-FEWEST_RANDOM_ROADS = 10
 FRESH_ROADS_SHARE = 1 / 6
 """Roads that only judge, for every random road that is learned from."""
 FEWEST_FRESH_ROADS = 4
@@ -85,9 +85,7 @@ def default_bundle(
         "build/default-bundle"
     ),
     runs: RunsCount = DEFAULT_RUNS_COUNT,
-    random_roads: Annotated[
-        int, typer.Option(min=FEWEST_RANDOM_ROADS, help="Random roads.")
-    ] = DEFAULT_RANDOM_ROADS_COUNT,
+    random_roads: Annotated[int, typer.Option(min=FEWEST_ROADS, help="Random roads.")] = DEFAULT_RANDOM_ROADS_COUNT,
     seed: Seed = DEFAULT_SEED,
     workers: Workers = None,
     as_json: AsJson = False,
@@ -239,7 +237,7 @@ def _made(
 
 def _exact_design(seed: int, size: Size) -> Design:
     """Return drives on some of the random roads with exact sensors: models that never saw any expect too much noise."""
-    roads_count = max(FEWEST_RANDOM_ROADS, round(EXACT_ROADS_SHARE * size.random_roads_count))
+    roads_count = max(FEWEST_ROADS, round(EXACT_ROADS_SHARE * size.random_roads_count))
     terms = Terms(f"{DESIGN_NAME}-exact", seed, SensorGrade.IDEAL)
     design = named_design("random-roads", terms, Size(1, random_roads_count=roads_count))
     named = tuple(replace(scenario, name=f"{scenario.name}{EXACT_SUFFIX}") for scenario in design.scenarios)

@@ -10,7 +10,7 @@ import numpy as np
 import xgboost
 
 from roadgrip.units import FloatArray
-from training.accuracy import mape_ratio, relative_rms_ratio
+from training.accuracy import FEWEST_ROADS, mape_ratio, relative_rms_ratio
 from training.dataset import DatasetError, Runs
 from training.error_model import ERROR_FIT, grow_error_trees, log_error_ratio
 from training.fit_parameters import FitParameters, Target
@@ -21,7 +21,6 @@ RowIndices: TypeAlias = np.ndarray[tuple[int], np.dtype[np.intp]]
 HOLD_OUT_FRAC = 0.1
 """The paper's split: nine tenths to learn from, one tenth to be judged on."""
 ROAD_FOLDS_COUNT = 5
-FEWEST_ROADS = 10
 _FEWEST_RUNS = 50
 CERTAIN_ERROR_RATIO = 0.01
 """Smaller errors to expect are not weighed up any further: a hundredth is as good as it gets."""

@@ -16,6 +16,7 @@ import xgboost
 from roadgrip.bundle import Conformal, OrdinaryDriving
 from roadgrip.features import NEWEST_TABLE, PAPER_TABLE, FeatureTable
 from roadgrip.units import BoolArray, FloatArray
+from training.accuracy import FEWEST_ROADS
 from training.bundling import TableModel
 from training.conformal import conformal_of
 from training.dataset import DatasetError, Runs
@@ -29,8 +30,6 @@ from training.study.generalise.doubt import best_threshold
 from training.study.recipes import BEST_RECIPE, Boosted
 
 FOLDS_COUNT = 4
-FEWEST_RANDOM_ROADS = 10
-"""Fewer say nothing about the next one."""
 COVERAGE_FRAC = 0.9
 """How often the interval of a single estimate shall hold the truth."""
 LITTLE_USE_RATIO = 1.0 / 3.0
@@ -176,9 +175,9 @@ def learned_drives(runs: Runs, *, seed: int) -> LearnedDrives:
     sections = np.array(usable.section_id)
     known = np.isin(sections, PAPER_ROADS)
     roads_count = len(set(sections[~known].tolist()))
-    if roads_count < FEWEST_RANDOM_ROADS:
+    if roads_count < FEWEST_ROADS:
         raise DatasetError(
-            f"{roads_count} random roads say nothing about the next one; at least {FEWEST_RANDOM_ROADS} are needed"
+            f"{roads_count} random roads say nothing about the next one; at least {FEWEST_ROADS} are needed"
         )
     fold = np.empty(len(sections), dtype=np.intp)
     fold[~known] = road_folds(sections[~known].tolist(), seed=seed, folds_count=FOLDS_COUNT)
