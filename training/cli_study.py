@@ -26,6 +26,7 @@ from training.study.registry import PART_TITLES, Part, chapters_of
 from training.study.workbench import StudyWorkbench
 from training.study_show import StudyRecord, StudyShow
 from training.tracking import Tracker, local_tracker
+from training.workers import kept_workers
 from vehicle_client.simulator.plan import SensorGrade
 
 DEFAULT_WORK = Path("build/study")
@@ -141,7 +142,7 @@ def _add_command(part: Part) -> None:
             }
             show.record = StudyRecord(tracker, f"study {part.value}", parameters, tell=_warn)
         try:
-            with show:
+            with show, kept_workers():
                 conducted = conduct(bench, chapters, grades, show)
         except BaseException:  # a break by hand is no failure of a chapter, but it is the end of the records
             if show.record is not None:

@@ -105,7 +105,7 @@ DATA_SETS: tuple[DataSet, ...] = (
         name="random-roads",
         design="random-roads",
         size=Size(1, random_roads_count=1500),
-        quick_size=Size(1, random_roads_count=100),
+        quick_size=Size(1, random_roads_count=90),
         seed=2,
         purpose="random roads, one vehicle per base friction on each",
     ),
