@@ -212,6 +212,14 @@ PROFILE_FRICTIONS_MU = (0.12, 0.15, 0.18, 0.22, 0.27, 0.33, 0.40, 0.47, 0.55, 0.
 """At which frictions the likelihood of all channels together is told, so that profiles of many vehicles add up."""
 PROFILE_FLOOR = -40.0
 """Log-likelihoods below it are told as it."""
+GRIP_PARTS: Mapping[str, Mapping[str, tuple[float, ...]]] = {
+    "weak": {"below": (0.5,), "above": (0.5, 2.0)},
+    "firm": {"below": (0.5,), "above": ()},
+}
+"""The same falls of the likelihood of all channels together over a part of the drive: of the part where less grip was
+found, how little and how much it may be; of the other, how little."""
+GAIN_LIMIT = 1000.0
+"""More evidence that the friction was not the same all along is told as so much."""
 MISFIT_LIMIT = 1000.0
 """Per sample; more is no likelier to mean anything."""
 _WIDEST = 5.0
@@ -235,6 +243,16 @@ def _grip_features() -> tuple[Feature, ...]:
     features += [
         Feature(f"grip_profile_{100 * mu:.0f}_ratio", "ratio", PROFILE_FLOOR, 0.0) for mu in PROFILE_FRICTIONS_MU
     ]
+    # Of two parts of the drive: the one where less grip was found, and the other.
+    features.append(Feature("grip_parts_gain_ratio", "ratio", 0.0, GAIN_LIMIT))
+    for part in ("weak", "firm"):
+        features.append(Feature(f"grip_{part}_shift_ratio", "ratio", -_WIDEST, _WIDEST))
+        for side, drops in GRIP_PARTS[part].items():
+            features += [
+                Feature(f"grip_{part}_{side}_{(2.0 * drop) ** 0.5:.0f}sd_ratio", "ratio", 0.0, _WIDEST)
+                for drop in drops
+            ]
+    features.append(Feature("demand_weak_use_ratio", "ratio", 0.0, 100.0))
     features += [Feature(f"demand_q{100 * level:.0f}_use_ratio", "ratio", 0.0, 100.0) for level in GRIP_USE_LEVELS_FRAC]
     features += [Feature(f"demand_q{100 * level:.0f}_mu", "mu", 0.0, 10.0) for level in GRIP_DEMAND_LEVELS_FRAC]
     features += [

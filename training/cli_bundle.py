@@ -64,7 +64,7 @@ FRESH_CARS: Mapping[str, tuple[SensorGrade, bool]] = {
 }
 """Who drives the roads that only judge: sensors, and whether the cars have learned what theirs get wrong. The drives
 are the same for all."""
-DESIGN_NAME = "mixed-speeds"
+DESIGN_NAME = "default-bundle"
 _TOOLS = ("roadgrip", "numpy", "scikit-learn", "xgboost-cpu", "onnx", "onnxmltools", "onnxruntime")
 _INTENDED_USE = (
     "the demo, and a first unit on a curve of an ordinary rural road. It is a starting point for a road authority's "

@@ -282,9 +282,10 @@ def _command(design: Design, size: Size, sections: list[Path], *, raw: bool) -> 
     words = ["roadgrip-train simulate"]
     words += [f"--section {path.name}" for path in sections] or [f"--design {design.name}"]
     words += [f"--sensors {terms.sensor_grade.value} --driver {terms.driver_kind.value} --runs {size.runs_count}"]
-    if design.name in {"random-roads", "random-roads-fleet", "mixed", "mixed-speeds", "any-speed"}:
+    named = DESIGNS.get(design.name)
+    if named is not None and named.random_roads:
         words.append(f"--random-roads {size.random_roads_count}")
-    if design.name in {"mixed", "mixed-speeds", "any-speed"}:
+    if named is not None and named.random_runs:
         words.append(f"--random-runs {size.random_runs_count}")
     words.append(f"--seed {terms.seed}")
     return " ".join([*words, *(["--raw"] if raw else [])])

@@ -9,6 +9,7 @@ import numpy as np
 
 from roadgrip.section import RoadSection
 from roadgrip.sections import read_section
+from training.friction_profiles import has_like_turns
 from training.manoeuvres import MANOEUVRE_FRICTIONS_MU, StraightCase, manoeuvre_sections, straight_section
 from training.random_roads import random_section
 from training.scenarios import Design, Quota, Scenario, Terms, attempted, kept
@@ -18,8 +19,9 @@ BASE_FRICTIONS_MU = tuple(round(0.20 + 0.05 * i, 2) for i in range(11))
 PAPER_ROADS = ("long-turn", "s-turn", "sharp-turn")
 TWO_FRICTIONS_ROAD = "s-turn"
 COMPLIANCES_FRAC = (0.0, 0.5, 1.0)
-ANY_SPEED_SUFFIX, EXACT_SUFFIX = "-any-speed", "-exact"
-"""Of the names of scenarios with drivers of any speed beside usual ones, or with exact sensors beside others."""
+ANY_SPEED_SUFFIX, EXACT_SUFFIX, TWO_FRICTIONS_SUFFIX = "-any-speed", "-exact", "-two-frictions"
+"""Of the names of scenarios with drivers of any speed beside usual ones, with exact sensors beside others, or where the
+friction drops along the road."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,12 +48,16 @@ class NamedDesign:
         scenarios: Its scenarios, of a size and with a seed for random roads.
         base_frictions_mu: Each scenario is driven at each of them.
         test_drivers: Whether drivers are test drivers, so that there is no kind to choose.
+        random_roads: Whether it has random roads.
+        random_runs: Whether those have a number of runs of their own.
     """
 
     description: str
     scenarios: Callable[[Size, int], tuple[Scenario, ...]]
     base_frictions_mu: tuple[float, ...] = BASE_FRICTIONS_MU
     test_drivers: bool = False
+    random_roads: bool = False
+    random_runs: bool = False
 
 
 def named_design(name: str, terms_given: Terms, size: Size) -> Design:
@@ -95,7 +101,7 @@ def _paper(size: Size, _seed: int, *, varied_vehicles: bool = False) -> tuple[Sc
         Scenario(section.section_id, section, quota, varied_vehicles=varied_vehicles) for section in paper_sections()
     )
     section = read_section(TWO_FRICTIONS_ROAD)
-    name = f"{TWO_FRICTIONS_ROAD}-two-frictions"
+    name = f"{TWO_FRICTIONS_ROAD}{TWO_FRICTIONS_SUFFIX}"
     return (*roads, Scenario(name, section, quota, two_frictions=True, varied_vehicles=varied_vehicles))
 
 
@@ -136,6 +142,19 @@ def _random_roads_fleet(size: Size, seed: int) -> tuple[Scenario, ...]:
     return tuple(replace(scenario, varied_vehicles=True) for scenario in _random_roads(size, seed))
 
 
+def _random_roads_two_frictions(size: Size, seed: int) -> tuple[Scenario, ...]:
+    return _with_two_frictions(_random_roads(size, seed))
+
+
+def _with_two_frictions(roads: tuple[Scenario, ...]) -> tuple[Scenario, ...]:
+    """Return those roads that have two like turns, every other one of all roads with its slippery turn first."""
+    return tuple(
+        replace(road, name=f"{road.name}{TWO_FRICTIONS_SUFFIX}", two_frictions=True, slippery_first=number % 2 == 1)
+        for number, road in enumerate(roads)
+        if has_like_turns(road.section)
+    )
+
+
 def _mixed(size: Size, seed: int) -> tuple[Scenario, ...]:
     quota = attempted(size.runs_count)
     known = tuple(Scenario(section.section_id, section, quota) for section in paper_sections())
@@ -146,11 +165,12 @@ def _any_speed(size: Size, seed: int) -> tuple[Scenario, ...]:
     return tuple(replace(scenario, any_speed=True) for scenario in _mixed(size, seed))
 
 
-def _mixed_speeds(size: Size, seed: int) -> tuple[Scenario, ...]:
-    # A drive of any speed for every four usual ones.
+def _default_bundle(size: Size, seed: int) -> tuple[Scenario, ...]:
+    # A drive of any speed, and one on a road of two frictions, for every four usual ones.
     fewer = replace(size, runs_count=-(-size.runs_count // 4), random_runs_count=-(-size.random_runs_count // 4))
-    other = tuple(replace(scenario, name=f"{scenario.name}{ANY_SPEED_SUFFIX}") for scenario in _any_speed(fewer, seed))
-    return _mixed(size, seed) + other
+    usual = _mixed(size, seed)
+    any_speed = (replace(road, name=f"{road.name}{ANY_SPEED_SUFFIX}") for road in _any_speed(fewer, seed))
+    return usual + tuple(any_speed) + _with_two_frictions(_mixed(fewer, seed))
 
 
 DESIGNS: Mapping[str, NamedDesign] = {
@@ -160,9 +180,16 @@ DESIGNS: Mapping[str, NamedDesign] = {
     ),
     "advice": NamedDesign("the same with drivers who follow the advised speed: none, half, all of them", _advice),
     "random-roads": NamedDesign(
-        "random roads with a few vehicles each, for what must hold on the next road", _random_roads
+        "random roads with a few vehicles each, for what must hold on the next road", _random_roads, random_roads=True
     ),
-    "random-roads-fleet": NamedDesign("the same roads with another vehicle in every run", _random_roads_fleet),
+    "random-roads-fleet": NamedDesign(
+        "the same roads with another vehicle in every run", _random_roads_fleet, random_roads=True
+    ),
+    "random-roads-two-frictions": NamedDesign(
+        "random roads of two like turns, one of which is slipperier than the other",
+        _random_roads_two_frictions,
+        random_roads=True,
+    ),
     "manoeuvres": NamedDesign(
         "slalom, tight lane change, ninety-degree turn, sine wave at 0.2 to 1.0, by test drivers",
         _manoeuvres,
@@ -175,10 +202,18 @@ DESIGNS: Mapping[str, NamedDesign] = {
         MANOEUVRE_FRICTIONS_MU,
     ),
     "any-speed": NamedDesign(
-        "the mixed roads with drivers of any speed, slow or fast whatever the friction", _any_speed
+        "the mixed roads with drivers of any speed, slow or fast whatever the friction",
+        _any_speed,
+        random_roads=True,
+        random_runs=True,
     ),
-    "mixed": NamedDesign("the paper's three roads and random ones, attempts per cell", _mixed),
-    "mixed-speeds": NamedDesign(
-        "the mixed roads by usual drivers, and by a quarter as many of any speed; the default bundle's", _mixed_speeds
+    "mixed": NamedDesign(
+        "the paper's three roads and random ones, attempts per cell", _mixed, random_roads=True, random_runs=True
+    ),
+    "default-bundle": NamedDesign(
+        "the mixed roads by usual drivers, a quarter as many of any speed, as many on two like turns of two frictions",
+        _default_bundle,
+        random_roads=True,
+        random_runs=True,
     ),
 }

@@ -18,6 +18,8 @@ TRANSITION_M = 20.0
 """Length over which one friction passes into the other, about the point where the road turns over."""
 TURN_MIN_RAD = 0.05
 """What turns less is no turn."""
+LIKE_TURNS_RATIO = 0.6
+"""Of their largest curvatures: turns that are like each other."""
 PATCH_LENGTHS_M = (3.0, 30.0)
 PATCH_RATIOS = (0.3, 0.8)
 """Friction of a patch over that of the road around it: from ice on asphalt to a little slush."""
@@ -25,7 +27,7 @@ PATCH_EDGE_M = 1.0
 _GRID_M = 0.5
 
 
-def two_frictions(section: RoadSection, *, base_friction_mu: float) -> FrictionProfile:
+def two_frictions(section: RoadSection, *, base_friction_mu: float, slippery_first: bool = False) -> FrictionProfile:
     """Return the friction of the paper's fourth scenario: higher in the first turn, the base friction in the second.
 
     The paper drives the S-turn "with lower friction in one turn and a higher friction in the other", and calls the
@@ -37,6 +39,7 @@ def two_frictions(section: RoadSection, *, base_friction_mu: float) -> FrictionP
     Args:
         section: A road that turns over at least once.
         base_friction_mu: What the slippery turn offers a new tyre.
+        slippery_first: The other way round: the base friction in the first turn, more in the second.
 
     Raises:
         ValueError: The road never turns over.
@@ -44,7 +47,25 @@ def two_frictions(section: RoadSection, *, base_friction_mu: float) -> FrictionP
     station_m = turnover_m(section)
     at_m = np.array([station_m - TRANSITION_M / 2.0, station_m + TRANSITION_M / 2.0])
     mu = np.array([base_friction_mu + HIGHER_BY_MU, base_friction_mu])
+    if slippery_first:
+        mu = mu[::-1].copy()
     return FrictionProfile(station_m=at_m, left_mu=mu, right_mu=mu)
+
+
+def has_like_turns(section: RoadSection) -> bool:
+    """Return whether a road turns over, with turns about as sharp on both sides of that place.
+
+    A turn that is much gentler asks so little of the road that its friction shows in nothing, neither to a driver nor
+    to a sensor; nobody could learn to tell it.
+    """
+    try:
+        station_m = turnover_m(section)
+    except ValueError:
+        return False
+    profile = section.profile
+    sharpness = np.abs(profile.curvature_1pm)
+    first, second = (sharpness[part].max() for part in (profile.station_m < station_m, profile.station_m >= station_m))
+    return bool(min(first, second) >= LIKE_TURNS_RATIO * max(first, second))
 
 
 def turnover_m(section: RoadSection) -> float:

@@ -72,6 +72,7 @@ class Scenario:
         section: The road.
         quota: How many runs at each base friction.
         two_frictions: Whether the friction drops along the road instead of being the same all over.
+        slippery_first: Whether it rises instead, where there are two.
         varied_vehicles: Whether every run has a car of its own instead of the paper's.
         compliance_frac: Share of the drivers who follow the advisory; None where nobody is advised.
         extreme: Whether test drivers drive, as fast as the surface lets them, every other one without stability
@@ -87,6 +88,7 @@ class Scenario:
     section: RoadSection
     quota: Quota
     two_frictions: bool = False
+    slippery_first: bool = False
     varied_vehicles: bool = False
     compliance_frac: float | None = None
     extreme: bool = False
@@ -106,8 +108,9 @@ class Scenario:
             self.drawn_as,
         )
         # Named where it is so, as usual designs keep their names.
-        speed = "|any speed" if self.any_speed else ""
-        return f"{self.name}|{self.section.section_id}|{self.section.version}|{way}{speed}"
+        words = "|any speed" if self.any_speed else ""
+        words += "|slippery first" if self.slippery_first else ""
+        return f"{self.name}|{self.section.section_id}|{self.section.version}|{way}{words}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -233,7 +236,9 @@ def _plan(
         )
     if scenario.extreme:
         return draw_extreme_plan(rng, section=section, base_friction_mu=base_friction_mu, grade=grade, vehicle=vehicle)
-    profile = two_frictions(section, base_friction_mu=base_friction_mu) if scenario.two_frictions else None
+    profile = None
+    if scenario.two_frictions:
+        profile = two_frictions(section, base_friction_mu=base_friction_mu, slippery_first=scenario.slippery_first)
     if scenario.compliance_frac is None:
         usual = draw_plan(
             rng,

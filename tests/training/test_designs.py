@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from training.designs import BASE_FRICTIONS_MU, DESIGNS, Size, named_design
+from training.friction_profiles import has_like_turns
 from training.scenarios import Design, Quota, Terms
 from vehicle_client.simulator.plan import SensorGrade
 
@@ -22,7 +23,7 @@ def test_the_papers_matrix_is_four_scenarios_at_eleven_frictions_with_twenty_tri
 
 @pytest.mark.parametrize("name", DESIGNS)
 def test_every_design_of_the_table_can_be_made_and_planned(name: str) -> None:
-    made = design(name)
+    made = design(name, Size(5, random_roads_count=24))
     assert made.name == name
     assert len(made.scenarios) > 1
 
@@ -65,10 +66,23 @@ def test_the_mixed_design_has_the_papers_roads_with_many_vehicles_and_random_one
     assert counts == [Quota(250)] * 3 + [Quota(4)] * 120
 
 
-def test_the_mixed_speeds_add_a_quarter_of_drives_at_any_speed_to_every_road() -> None:
-    made = design("mixed-speeds", Size(10, random_roads_count=3, random_runs_count=2))
-    usual, other = made.scenarios[:6], made.scenarios[6:]
-    assert [s.section for s in usual] == [s.section for s in other]
-    assert not any(s.any_speed for s in usual)
-    assert all(s.any_speed and s.name.endswith("-any-speed") for s in other)
-    assert [s.quota for s in other] == [Quota(3)] * 3 + [Quota(1)] * 3
+def test_the_default_bundle_adds_a_quarter_of_drives_at_any_speed_and_of_two_frictions() -> None:
+    made = design("default-bundle", Size(10, random_roads_count=24, random_runs_count=2)).scenarios
+    usual = [s for s in made if not s.any_speed and not s.two_frictions]
+    any_speed = [s for s in made if s.any_speed]
+    two_frictions = [s for s in made if s.two_frictions]
+    assert len(usual) + len(any_speed) + len(two_frictions) == len(made)
+    assert [s.section for s in usual] == [s.section for s in any_speed]
+    assert all(s.name.endswith("-any-speed") for s in any_speed)
+    assert all(s.name.endswith("-two-frictions") for s in two_frictions)
+    assert [s.quota for s in any_speed] == [Quota(3)] * 3 + [Quota(1)] * 24
+    assert {s.section.section_id for s in two_frictions} == {
+        s.section.section_id for s in usual if has_like_turns(s.section)
+    }
+
+
+def test_on_roads_of_two_frictions_either_turn_may_be_the_slippery_one() -> None:
+    made = design("random-roads-two-frictions", Size(1, random_roads_count=60)).scenarios
+    assert {s.slippery_first for s in made} == {False, True}
+    assert all(s.two_frictions and has_like_turns(s.section) for s in made)
+    assert len({s.identity for s in made}) == len(made)

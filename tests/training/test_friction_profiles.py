@@ -9,7 +9,15 @@ from hypothesis import strategies as st
 
 from roadgrip.section import RoadSection
 from roadgrip.sections import read_section
-from training.friction_profiles import HIGHER_BY_MU, PATCH_RATIOS, TRANSITION_M, patches, turnover_m, two_frictions
+from training.friction_profiles import (
+    HIGHER_BY_MU,
+    PATCH_RATIOS,
+    TRANSITION_M,
+    has_like_turns,
+    patches,
+    turnover_m,
+    two_frictions,
+)
 from vehicle_client.simulator.plan import WEAR_RANGE, FrictionProfile
 from vehicle_client.simulator.run import PassagePlan, simulate_passage
 
@@ -41,6 +49,19 @@ def test_the_first_turn_grips_better_and_the_second_offers_the_base_friction(s_t
     assert at(profile, middle_m + TRANSITION_M) == pytest.approx((0.3, 0.3))
     assert at(profile, -50.0) == pytest.approx((0.5, 0.5))
     assert at(profile, s_turn.length_m + 50.0) == pytest.approx((0.3, 0.3))
+
+
+def test_the_slippery_turn_may_come_first(s_turn: RoadSection) -> None:
+    profile = two_frictions(s_turn, base_friction_mu=0.3, slippery_first=True)
+    middle_m = turnover_m(s_turn)
+    assert at(profile, middle_m - TRANSITION_M) == pytest.approx((0.3, 0.3))
+    assert at(profile, middle_m + TRANSITION_M) == pytest.approx((0.5, 0.5))
+
+
+@pytest.mark.parametrize(("second_1pm", "like"), [(-0.02, True), (-0.013, True), (-0.011, False), (0.02, False)])
+def test_turns_are_like_each_other_if_the_gentler_one_is_nearly_as_sharp(second_1pm: float, *, like: bool) -> None:
+    road = two_turns(0.02, second_1pm)
+    assert has_like_turns(road) is like
 
 
 @pytest.mark.parametrize("base_mu", [0.2, 0.45, 0.7])

@@ -110,6 +110,14 @@ DATA_SETS: tuple[DataSet, ...] = (
         purpose="random roads, one vehicle per base friction on each",
     ),
     DataSet(
+        name="random-roads-two-frictions",
+        design="random-roads-two-frictions",
+        size=Size(1, random_roads_count=1500),
+        quick_size=Size(1, random_roads_count=90),
+        seed=5,
+        purpose="other random roads, of two like turns with another friction each, one vehicle per base friction",
+    ),
+    DataSet(
         name="random-roads-new-cars",
         design="random-roads",
         size=Size(1, random_roads_count=400),

@@ -30,20 +30,29 @@ _ROUNDS_COUNT = 3
 
 
 def log_likelihood(channel: Channel, weight: FloatArray) -> FloatArray:
-    """Return the logarithm of how well each friction explains a channel, up to a constant. (frictions,)
+    """Return the logarithm of how well each friction explains every sample, up to a constant. (frictions, n)
+
+    The unknown constants are fitted to all samples; what they cost by being unlikely is shared out among those that
+    count.
 
     Args:
         channel: Misfits with what may explain them.
         weight: How many independent samples each sample stands for. (n,)
     """
-    misfit, variance = channel.misfit, channel.variance
+    fit: FloatArray = np.zeros_like(channel.misfit)
+    counted = np.flatnonzero(weight)
+    if len(counted) == 0:
+        return fit
+    # Parts of a drive lie in one piece: nothing is computed for what does not count before and behind.
+    here = slice(int(counted[0]), int(counted[-1]) + 1)
+    misfit, variance, counts = channel.misfit[:, here], channel.variance[:, here], weight[here]
     # Constants before samples: sums over samples then are products of matrices whose rows lie in one piece.
     effects = np.empty((len(misfit), len(channel.nuisances), misfit.shape[1]))
     for place, effect in enumerate(channel.nuisances):
-        effects[:, place] = effect
+        effects[:, place] = effect[..., here]
     by_constant = np.swapaxes(effects, 1, 2)
     prior = 1.0 / np.array(channel.priors) ** 2
-    certainty = (TAIL_DEGREES + 1.0) * weight / variance
+    certainty = (TAIL_DEGREES + 1.0) * counts / variance
     constants: NDArray[np.floating] = np.zeros((len(misfit), len(prior), 1))
     surprise = misfit * misfit / variance
     for _ in range(_ROUNDS_COUNT):
@@ -52,7 +61,7 @@ def log_likelihood(channel: Channel, weight: FloatArray) -> FloatArray:
         constants = np.linalg.solve(weighted @ by_constant + np.diag(prior), weighted @ misfit[..., None])
         rest = misfit - (np.swapaxes(constants, 1, 2) @ effects)[:, 0]
         surprise = rest * rest / variance
-    unexplained = (TAIL_DEGREES + 1.0) * (np.log1p(surprise / TAIL_DEGREES) @ weight)
-    unlikely = constants[..., 0] ** 2 @ prior
-    fit: FloatArray = -0.5 * (unexplained + unlikely)
+    unexplained = (TAIL_DEGREES + 1.0) * np.log1p(surprise / TAIL_DEGREES)
+    unlikely = constants[..., 0] ** 2 @ prior / counts.sum()
+    fit[:, here] = -0.5 * counts * (unexplained + unlikely[:, None])
     return fit

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vehicle_client.estimation.grip.channels import Channel
-from vehicle_client.estimation.grip.likelihood import log_likelihood
+from vehicle_client.estimation.grip.likelihood import log_likelihood as log_likelihood_by_sample
 
 COUNT = 200
 FRICTIONS_MU = np.linspace(0.2, 0.8, 61)
@@ -28,6 +28,10 @@ def channel(*, seed=1, offset=0.0, scale=0.0, priors=(0.05, 0.03)):
         nuisances=(np.ones(COUNT), np.broadcast_to(other, (len(FRICTIONS_MU), COUNT))),
         priors=priors,
     )
+
+
+def log_likelihood(of, weight):
+    return log_likelihood_by_sample(of, weight).sum(axis=1)
 
 
 def best_mu(fit):

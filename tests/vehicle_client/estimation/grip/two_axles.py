@@ -107,6 +107,7 @@ def driven(
     speed_mps: float = 16.0,
     push_n: float = 1200.0,
     handling: Handling = HANDLING,
+    later_mu: tuple[float, ...] | None = None,
 ) -> list[Motion]:
     """Return what exact sensors see of cars that are steered for these forces, on a road that keeps their speed.
 
@@ -116,6 +117,7 @@ def driven(
         speed_mps: Of the centre of gravity, forward.
         push_n: Drive force of all wheels.
         handling: Of the car, without relaxation and compliance.
+        later_mu: Of each car's road from half of the time on; the same as before if None.
     """
     mu = np.array(friction_mu)
     mass, wheelbase, half_track, tyre = handling.mass_kg, XC90.wheelbase_m, 0.5 * XC90.track_m, handling.tyre
@@ -123,7 +125,9 @@ def driven(
     front, rear = _Axle(mu, tyre), _Axle(mu, tyre)
     steer, yaw_rate, velocity_y, force_y, force_x = (np.zeros(len(mu)) for _ in range(5))
     rows = []
-    for wanted in wanted_mps2:
+    for sample, wanted in enumerate(wanted_mps2):
+        if later_mu is not None and 2 * sample >= len(wanted_mps2):
+            front.friction_mu = rear.friction_mu = np.array(later_mu)
         pitch = mass * handling.cog_height_m * force_x / wheelbase
         shift = mass * force_y / XC90.track_m * np.array([[-1.0], [1.0]])
         front_load = 0.5 * (mass * GRAVITY_MPS2 * behind / wheelbase - pitch)
