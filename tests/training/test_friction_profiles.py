@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from roadgrip.alignment import Element, GradePoint
 from roadgrip.section import RoadSection
 from roadgrip.sections import read_section
 from training.friction_profiles import (
@@ -18,6 +19,7 @@ from training.friction_profiles import (
     turnover_m,
     two_frictions,
 )
+from training.road_design import RoadDesign, designed_section
 from vehicle_client.simulator.plan import WEAR_RANGE, FrictionProfile
 from vehicle_client.simulator.run import PassagePlan, simulate_passage
 
@@ -25,6 +27,24 @@ from vehicle_client.simulator.run import PassagePlan, simulate_passage
 @pytest.fixture(scope="module")
 def s_turn() -> RoadSection:
     return read_section("s-turn")
+
+
+def two_turns(first_1pm: float, second_1pm: float) -> RoadSection:
+    def arc(curvature_1pm: float) -> Element:
+        return Element(length_m=60.0, start_curvature_1pm=curvature_1pm, end_curvature_1pm=curvature_1pm)
+
+    between = Element(length_m=40.0, start_curvature_1pm=first_1pm, end_curvature_1pm=second_1pm)
+    design = RoadDesign(
+        section_id="two-turns",
+        name="two turns",
+        elements=(arc(first_1pm), between, arc(second_1pm)),
+        grades=(GradePoint(0.0, 0.0),),
+        start_heading_rad=0.0,
+        origin_m=(570_000.0, 6_822_000.0, 500.0),
+        rated_speed_mps=15.0,
+        node_step_m=2.0,
+    )
+    return designed_section(design)
 
 
 def at(profile: FrictionProfile, station_m: float) -> tuple[float, float]:

@@ -28,6 +28,10 @@ PAPER_SET = "paper"
 """Name of the data set that the paper's results are made again with."""
 RANDOM_ROADS_SET = "random-roads"
 """Name of the data set whose roads stand for any other."""
+TWO_FRICTIONS_SET = "random-roads-two-frictions"
+"""Name of the data set of roads, other ones, that do not have one friction all along."""
+LEARNED_SETS = (RANDOM_ROADS_SET, TWO_FRICTIONS_SET)
+"""What a regressor learns from that is to be right on any road."""
 
 
 @dataclass(frozen=True, slots=True)

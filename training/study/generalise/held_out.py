@@ -21,6 +21,7 @@ from training.regressor import RowIndices, estimate_mu
 from training.study.chapter import Arrays, Workbench
 from training.study.folds import (
     FOLDS_COUNT,
+    LEARNED_SETS,
     PAPER_SET,
     RANDOM_ROADS_SET,
     estimates_by_strangers,
@@ -146,30 +147,41 @@ class HeldOut:
         )
 
 
-def held_out(bench: Workbench, grade: SensorGrade, recipe: Recipe) -> HeldOut:
+def held_out(bench: Workbench, grade: SensorGrade, recipe: Recipe, *, data_set: str = RANDOM_ROADS_SET) -> HeldOut:
     """Return the passages on random roads, each judged by regressors that learned from other roads.
+
+    They learn from all sets of random roads together, whichever of them is judged.
 
     Args:
         bench: Where the data comes from.
         grade: Sensors.
         recipe: How to learn, and from which features.
+        data_set: Which of `LEARNED_SETS` is judged.
     """
 
     def work() -> Arrays:
-        runs = bench.runs(RANDOM_ROADS_SET, grade)
-        rows = rows_by_name(runs)
-        features, label = runs.columns(recipe.features)[rows], runs.labels["label_mu"][rows]
-        fold = road_folds(roads_of(runs, rows), seed=bench.seed)
+        sets = [bench.runs(name, grade) for name in LEARNED_SETS]
+        rows = [rows_by_name(runs) for runs in sets]
+        features = np.concatenate([runs.columns(recipe.features)[mine] for runs, mine in zip(sets, rows, strict=True)])
+        label = np.concatenate([runs.labels["label_mu"][mine] for runs, mine in zip(sets, rows, strict=True)])
+        roads = [road for runs, mine in zip(sets, rows, strict=True) for road in roads_of(runs, mine)]
+        fold = road_folds(roads, seed=bench.seed)
         bench.report(f"unseen roads, {recipe.name}, {grade}", 0, 2)
         mu = estimates_by_strangers(learner(bench, recipe.learn), features, label, fold=fold)
         bench.report(f"unseen roads, {recipe.name}, {grade}", 1, 2)
         expected = estimates_by_strangers(
             learner(bench, EXPECTED_ERROR), features, log_error_ratio(mu, label), fold=fold
         )
-        return _arrays(rows, fold, mu, expected)
+        found = {}
+        ends = np.cumsum([len(mine) for mine in rows])
+        for name, mine, end in zip(LEARNED_SETS, rows, ends, strict=True):
+            part = slice(end - len(mine), end)
+            judged = _arrays(mine, fold[part], mu[part], expected[part])
+            found |= {f"{name} {what}": values for what, values in judged.items()}
+        return found
 
-    found = bench.remembered(f"held-out-{RANDOM_ROADS_SET}-{grade}-{recipe.key}-{bench.seed}", work)
-    return _held_out(bench.runs(RANDOM_ROADS_SET, grade), found)
+    found = bench.remembered(f"held-out-random-{grade}-{recipe.key}-{bench.seed}", work)
+    return _held_out(bench.runs(data_set, grade), found, prefix=f"{data_set} ")
 
 
 def on_other_roads(bench: Workbench, grade: SensorGrade, recipe: Recipe, *, data_set: str) -> HeldOut:
@@ -183,14 +195,17 @@ def on_other_roads(bench: Workbench, grade: SensorGrade, recipe: Recipe, *, data
     """
 
     def work() -> Arrays:
-        learned = held_out(bench, grade, recipe)
         judged = bench.runs(data_set, grade)
         rows = rows_by_name(judged)
-        features, there = learned.runs.columns(recipe.features)[learned.rows], judged.columns(recipe.features)
         if len(rows) == 0:
             return _arrays(rows, rows, np.empty(0), np.empty(0))
-        mu = learner(bench, recipe.learn)(features, learned.label_mu)(there[rows])
-        expected = learner(bench, EXPECTED_ERROR)(features, np.abs(learned.log_ratio))(there[rows])
+        sets = [held_out(bench, grade, recipe, data_set=name) for name in LEARNED_SETS]
+        features = np.concatenate([learned.runs.columns(recipe.features)[learned.rows] for learned in sets])
+        label = np.concatenate([learned.label_mu for learned in sets])
+        missed = np.concatenate([np.abs(learned.log_ratio) for learned in sets])
+        there = judged.columns(recipe.features)[rows]
+        mu = learner(bench, recipe.learn)(features, label)(there)
+        expected = learner(bench, EXPECTED_ERROR)(features, missed)(there)
         return _arrays(rows, np.zeros_like(rows), mu, expected)
 
     found = bench.remembered(f"other-roads-{data_set}-{grade}-{recipe.key}-{bench.seed}", work)
@@ -286,11 +301,11 @@ def _arrays(rows: RowIndices, fold: RowIndices, mu: FloatArray, expected: FloatA
     }
 
 
-def _held_out(runs: Runs, found: Mapping[str, FloatArray]) -> HeldOut:
+def _held_out(runs: Runs, found: Mapping[str, FloatArray], *, prefix: str = "") -> HeldOut:
     return HeldOut(
         runs=runs,
-        rows=found["rows"].astype(np.intp),
-        fold=found["fold"].astype(np.intp),
-        mu=found["mu"],
-        expected_error_ratio=found["expected_error_ratio"],
+        rows=found[f"{prefix}rows"].astype(np.intp),
+        fold=found[f"{prefix}fold"].astype(np.intp),
+        mu=found[f"{prefix}mu"],
+        expected_error_ratio=found[f"{prefix}expected_error_ratio"],
     )

@@ -23,7 +23,7 @@ from training.study.batches import (
 )
 from training.study.chapter import Arrays, Chapter, Claim, Result, Table, Verdict, Workbench
 from training.study.chapter import Cell as TableCell
-from training.study.folds import PAPER_SET, RANDOM_ROADS_SET
+from training.study.folds import LEARNED_SETS, PAPER_SET
 from training.study.generalise.held_out import HeldOut, held_out, on_known_roads, on_other_roads
 from training.study.generalise.passages import Passages, Traffic, drawn_passages
 from training.study.generalise.rules import (
@@ -357,5 +357,5 @@ CHAPTER = Chapter(
     paper_says="The median of the last vehicles; with ten a barely tolerable worst error, with fifty about 10 %.",
     compute=compute,
     verdict=verdict,
-    needs=(PAPER_SET, RANDOM_ROADS_SET),
+    needs=(PAPER_SET, *LEARNED_SETS),
 )

@@ -34,7 +34,7 @@ from training.study.batches import (
 )
 from training.study.chapter import Arrays, Chapter, Claim, Result, Table, Verdict, Workbench
 from training.study.chapter import Cell as TableCell
-from training.study.folds import RANDOM_ROADS_SET, learner
+from training.study.folds import LEARNED_SETS, RANDOM_ROADS_SET, learner
 from training.study.generalise.held_out import HeldOut, by_use, held_out, on_other_roads
 from training.study.generalise.mean_features import learned_for_windows
 from training.study.generalise.pooling import CONFIGS, passages_of
@@ -375,5 +375,5 @@ CHAPTER = Chapter(
     paper_says="",
     compute=compute,
     verdict=verdict,
-    needs=(RANDOM_ROADS_SET, BATCHES_SET),
+    needs=(*LEARNED_SETS, BATCHES_SET),
 )

@@ -13,7 +13,7 @@ from roadgrip.units import BoolArray, FloatArray
 from training.conformal import GROUP_SHORTFALL_FRAC
 from training.study.chapter import Cell, Chapter, Claim, Result, Table, Verdict, Workbench
 from training.study.distributions import identity_line, per_cent
-from training.study.folds import FOLDS_COUNT, RANDOM_ROADS_SET
+from training.study.folds import FOLDS_COUNT, LEARNED_SETS
 from training.study.generalise.doubt import Intervals, best_threshold, intervals, told_apart_frac
 from training.study.generalise.held_out import (
     SUREST_FRAC,
@@ -400,5 +400,5 @@ CHAPTER = Chapter(
     paper_says="",
     compute=compute,
     verdict=verdict,
-    needs=(RANDOM_ROADS_SET,),
+    needs=LEARNED_SETS,
 )

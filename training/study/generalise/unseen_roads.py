@@ -10,7 +10,7 @@ from roadgrip.units import BoolArray, FloatArray
 from training.accuracy import by_group, mape_ratio
 from training.study.chapter import Cell, Chapter, Claim, Result, Table, Verdict, Workbench
 from training.study.distributions import box_of, cloud_of, identity_line, per_cent
-from training.study.folds import FOLDS_COUNT, PAPER_SET, RANDOM_ROADS_SET
+from training.study.folds import FOLDS_COUNT, LEARNED_SETS, PAPER_SET, TWO_FRICTIONS_SET
 from training.study.generalise.held_out import (
     HIGH_UTILISATION_RATIO,
     SUREST_FRAC,
@@ -51,9 +51,10 @@ USABLE_MAPE = 0.1
 
 def compute(bench: Workbench, grade: SensorGrade) -> Result:
     """Judge every configuration on roads of which nothing was learned."""
-    random, ringebu, left_out, moved = {}, {}, {}, {}
+    random, two_frictions, ringebu, left_out, moved = {}, {}, {}, {}, {}
     for config, recipe in CONFIGS.items():
         random[config] = held_out(bench, grade, recipe)
+        two_frictions[config] = held_out(bench, grade, recipe, data_set=TWO_FRICTIONS_SET)
         ringebu[config] = on_other_roads(bench, grade, recipe, data_set=RINGEBU_SET)
         moved[config] = on_other_roads(bench, grade, recipe, data_set=PAPER_SET)
         left_out[config] = left_out_roads(bench, grade, recipe)
@@ -61,6 +62,7 @@ def compute(bench: Workbench, grade: SensorGrade) -> Result:
     for config in CONFIGS:
         figures |= {f"headline.{config}.{name}": value for name, value in headline_figures(random[config]).items()}
         figures |= {f"{config}.{name}": value for name, value in more_figures(random[config]).items()}
+        figures[f"{config}.two_frictions_mape"] = two_frictions[config].mape_ratio
         real = ringebu[config]
         if len(real):
             figures[f"headline.{config}.unseen_ringebu_mape"] = real.mape_ratio
@@ -79,13 +81,15 @@ def compute(bench: Workbench, grade: SensorGrade) -> Result:
             "folds, by road": FOLDS_COUNT,
             "passages judged on random roads": len(some),
             "passages on random roads that the vehicles themselves rejected": rejected,
+            "random roads of two frictions": len(set(next(iter(two_frictions.values())).roads)),
+            "passages judged on roads of two frictions": len(next(iter(two_frictions.values()))),
             "passages judged on Ringebu roads": len(next(iter(ringebu.values()))),
             "Ringebu roads": len(set(next(iter(ringebu.values())).roads)),
             "passages judged on the paper's roads": len(next(iter(left_out.values()))),
             "seed": bench.seed,
         },
         tables=(
-            _where_table(random, ringebu, left_out, moved),
+            _where_table(random, two_frictions, ringebu, left_out, moved),
             _coverage_table(random),
             *(_part_table(title, what, random) for title, what in _parts(some).items()),
         ),
@@ -164,6 +168,7 @@ def _parts(judged: HeldOut) -> dict[str, dict[str, BoolArray]]:
 
 def _where_table(
     random: Mapping[str, HeldOut],
+    two_frictions: Mapping[str, HeldOut],
     ringebu: Mapping[str, HeldOut],
     left_out: Mapping[str, HeldOut],
     moved: Mapping[str, HeldOut],
@@ -175,6 +180,7 @@ def _where_table(
     rows = [
         line("random roads", others, [random[config].mape_ratio for config in CONFIGS]),
         line("random roads, 95 % of roads are better", others, [p95_road(random[config]) for config in CONFIGS]),
+        line("random roads of two frictions", others, [two_frictions[config].mape_ratio for config in CONFIGS]),
         line(
             "Ringebu",
             "random roads",
@@ -191,7 +197,8 @@ def _where_table(
         "MAPE on roads of which nothing was learned, in %",
         ("judged on", "learned from", *(f"{CONFIGS[config].name} ({config})" for config in CONFIGS)),
         tuple(rows),
-        note="Every passage that kept to the road and left a summary, however little grip it used. Ringebu: bends of a "
+        note="Every passage that kept to the road and left a summary, however little grip it used. Roads of two "
+        "frictions: two like turns, one slipperier than the other, whose friction is asked for. Ringebu: bends of a "
         "real mountain road; empty where its map is not at hand. Two scenarios of the paper share the S-turn and are "
         "left out together.",
     )
@@ -315,5 +322,5 @@ CHAPTER = Chapter(
     paper_says="",
     compute=compute,
     verdict=verdict,
-    needs=(RANDOM_ROADS_SET, RINGEBU_SET, PAPER_SET),
+    needs=(*LEARNED_SETS, RINGEBU_SET, PAPER_SET),
 )

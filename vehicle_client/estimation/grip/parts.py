@@ -25,9 +25,9 @@ _PART_MIN_COUNT = 3
 
 
 def cut_in_two(told: FloatArray, weight: FloatArray, *, step_s: float) -> tuple[FloatArray, FloatArray] | None:
-    """Return the weights of the samples in the first part and in the second, 0 in the other; None if one part is better.
+    """Return the weights of the samples in the first part and in the second, 0 in the other; None if it is not cut.
 
-    One is better than two where the drive is too short, or where two frictions hardly explain more.
+    It is not where it is too short, or where two frictions hardly explain more than one.
 
     Args:
         told: How well each friction explains every sample. (frictions, n)

@@ -61,6 +61,7 @@ def road_desk() -> Desk:
     return Desk(
         data_sets={
             "random-roads": drives_on_roads(48),
+            "random-roads-two-frictions": drives_on_roads(12, seed=6, prefix="two-frictions"),
             "paper": drives_on_roads(3, per_road_count=60, seed=5, prefix="paper"),
             "ringebu": no_runs(),
         }
