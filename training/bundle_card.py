@@ -26,6 +26,7 @@ _PARTS = (
     ("roads never seen", "unseen_roads"),
     ("- usual drivers", "unseen_roads.usual_drivers"),
     ("- drivers of any speed", "unseen_roads.any_speed"),
+    ("- two turns of different friction", "unseen_roads.two_frictions"),
     ("- at least 60 % of the grip used", "unseen_roads.high_use"),
     ("- less of it used", "unseen_roads.low_use"),
     ("- less than a third of it used", "unseen_roads.little_use"),

@@ -36,6 +36,7 @@ from training.cli_designs import (
 from training.dataset import Runs, joined
 from training.designs import EXACT_SUFFIX, Size, named_design
 from training.fit_parameters import FitParameters
+from training.friction_profiles import HIGHER_BY_MU
 from training.marked_tables import marks_of, with_tables
 from training.scenarios import Design, Terms
 from vehicle_client.simulator.plan import SensorGrade
@@ -92,8 +93,9 @@ def default_bundle(
 ) -> None:
     """Remake the bundle that comes with roadgrip: simulate, fit, judge, export, bundle.
 
-    The paper's three roads with many vehicles, random roads with a few, drivers of any speed among them, automotive
-    sensors. A model for each feature table, each with the error to expect of it. Other random roads only judge.
+    The paper's three roads with many vehicles, random roads with a few, drivers of any speed and turns of different
+    friction among them, automotive sensors. A model for each feature table, each with the error to expect of it. Other
+    random roads only judge.
     """
     from training.table_models import best_plan, learned_drives, paper_plan
 
@@ -264,8 +266,9 @@ def _learned_from(driven: Runs, size: Size, *, exact_count: int) -> str:
     return (
         f"{len(driven)} simulated drives: at each of 11 base frictions the paper's three roads with {size.runs_count} "
         f"usual vehicles and {quarter_count} of any speed, {size.random_roads_count} random roads with "
-        f"{size.random_runs_count} and {few_count}; one kind of car (an XC90), automotive sensors, half of "
-        "the cars remember what theirs get wrong, maps as surveyed, prudent drivers, tyre wear 0.8 to 1; of all drives "
+        f"{size.random_runs_count} and {few_count}, what has two like turns once more with {HIGHER_BY_MU} more "
+        "friction in one of them; one kind of car (an XC90), automotive sensors, half of the cars remember what theirs "
+        "get wrong, maps as surveyed, prudent drivers, tyre wear 0.8 to 1; of all drives "
         f"{exact_count} have exact sensors and maps"
     )
 

@@ -166,11 +166,11 @@ def _any_speed(size: Size, seed: int) -> tuple[Scenario, ...]:
 
 
 def _default_bundle(size: Size, seed: int) -> tuple[Scenario, ...]:
-    # A drive of any speed, and one on a road of two frictions, for every four usual ones.
+    # A drive of any speed for every four usual ones.
     fewer = replace(size, runs_count=-(-size.runs_count // 4), random_runs_count=-(-size.random_runs_count // 4))
     usual = _mixed(size, seed)
     any_speed = (replace(road, name=f"{road.name}{ANY_SPEED_SUFFIX}") for road in _any_speed(fewer, seed))
-    return usual + tuple(any_speed) + _with_two_frictions(_mixed(fewer, seed))
+    return usual + tuple(any_speed) + _with_two_frictions(usual)
 
 
 DESIGNS: Mapping[str, NamedDesign] = {
@@ -211,7 +211,7 @@ DESIGNS: Mapping[str, NamedDesign] = {
         "the paper's three roads and random ones, attempts per cell", _mixed, random_roads=True, random_runs=True
     ),
     "default-bundle": NamedDesign(
-        "the mixed roads by usual drivers, a quarter as many of any speed, as many on two like turns of two frictions",
+        "the mixed roads by usual drivers, by a quarter as many of any speed, two like turns also with two frictions",
         _default_bundle,
         random_roads=True,
         random_runs=True,

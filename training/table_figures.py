@@ -12,7 +12,7 @@ from roadgrip.units import BoolArray, FloatArray
 from rsu_app.domain.envelope import is_strange_driving, is_strange_road
 from training.conformal import stated_nonconformity_ratio
 from training.dataset import Runs
-from training.designs import ANY_SPEED_SUFFIX, EXACT_SUFFIX, PAPER_ROADS
+from training.designs import ANY_SPEED_SUFFIX, EXACT_SUFFIX, PAPER_ROADS, TWO_FRICTIONS_SUFFIX
 from training.error_model import LEAST_MU
 from training.study.generalise.held_out import HIGH_UTILISATION_RATIO
 from training.table_models import (
@@ -90,8 +90,9 @@ def parts_of(runs: Runs, *, known: BoolArray) -> dict[str, BoolArray]:
         known: Which were driven on known roads. (n,)
     """
     sections = np.array(runs.section_id)
-    any_speed, exact = (
-        np.char.endswith(np.array(runs.scenario), suffix) for suffix in (ANY_SPEED_SUFFIX, EXACT_SUFFIX)
+    any_speed, two_frictions, exact = (
+        np.char.endswith(np.array(runs.scenario), suffix)
+        for suffix in (ANY_SPEED_SUFFIX, TWO_FRICTIONS_SUFFIX, EXACT_SUFFIX)
     )
     unseen: BoolArray = ~known & ~exact
     label_mu, used = runs.labels["label_mu"], runs.labels["peak_utilisation_ratio"]
@@ -99,8 +100,9 @@ def parts_of(runs: Runs, *, known: BoolArray) -> dict[str, BoolArray]:
     parts |= {f"known_roads.{name}": sections == name for name in PAPER_ROADS}
     parts |= {
         "unseen_roads": unseen,
-        "unseen_roads.usual_drivers": unseen & ~any_speed,
+        "unseen_roads.usual_drivers": unseen & ~any_speed & ~two_frictions,
         "unseen_roads.any_speed": unseen & any_speed,
+        "unseen_roads.two_frictions": unseen & two_frictions,
         "unseen_roads.high_use": unseen & (used >= HIGH_UTILISATION_RATIO),
         "unseen_roads.low_use": unseen & (used < HIGH_UTILISATION_RATIO),
         "unseen_roads.little_use": unseen & (used < LITTLE_USE_RATIO),

@@ -66,7 +66,7 @@ def test_the_mixed_design_has_the_papers_roads_with_many_vehicles_and_random_one
     assert counts == [Quota(250)] * 3 + [Quota(4)] * 120
 
 
-def test_the_default_bundle_adds_a_quarter_of_drives_at_any_speed_and_of_two_frictions() -> None:
+def test_the_default_bundle_adds_a_quarter_of_drives_at_any_speed_and_as_many_on_like_turns_of_two_frictions() -> None:
     made = design("default-bundle", Size(10, random_roads_count=24, random_runs_count=2)).scenarios
     usual = [s for s in made if not s.any_speed and not s.two_frictions]
     any_speed = [s for s in made if s.any_speed]
@@ -76,9 +76,9 @@ def test_the_default_bundle_adds_a_quarter_of_drives_at_any_speed_and_of_two_fri
     assert all(s.name.endswith("-any-speed") for s in any_speed)
     assert all(s.name.endswith("-two-frictions") for s in two_frictions)
     assert [s.quota for s in any_speed] == [Quota(3)] * 3 + [Quota(1)] * 24
-    assert {s.section.section_id for s in two_frictions} == {
-        s.section.section_id for s in usual if has_like_turns(s.section)
-    }
+    assert [(s.section, s.quota) for s in two_frictions] == [
+        (s.section, s.quota) for s in usual if has_like_turns(s.section)
+    ]
 
 
 def test_on_roads_of_two_frictions_either_turn_may_be_the_slippery_one() -> None:

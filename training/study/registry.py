@@ -43,6 +43,7 @@ CHAPTER_MODULES: Mapping[Part, tuple[str, ...]] = MappingProxyType(
         Part.GENERALISE: (
             "known_roads",
             "unseen_roads",
+            "two_frictions",
             "learning_curve",
             "features",
             "sensors",

@@ -147,20 +147,28 @@ class HeldOut:
         )
 
 
-def held_out(bench: Workbench, grade: SensorGrade, recipe: Recipe, *, data_set: str = RANDOM_ROADS_SET) -> HeldOut:
+def held_out(
+    bench: Workbench,
+    grade: SensorGrade,
+    recipe: Recipe,
+    *,
+    data_set: str = RANDOM_ROADS_SET,
+    learned_sets: tuple[str, ...] = LEARNED_SETS,
+) -> HeldOut:
     """Return the passages on random roads, each judged by regressors that learned from other roads.
 
-    They learn from all sets of random roads together, whichever of them is judged.
+    They learn from all sets together, whichever of them is judged.
 
     Args:
         bench: Where the data comes from.
         grade: Sensors.
         recipe: How to learn, and from which features.
-        data_set: Which of `LEARNED_SETS` is judged.
+        data_set: Which of the sets is judged.
+        learned_sets: Names of the sets that are learned from; no road is in two of them.
     """
 
     def work() -> Arrays:
-        sets = [bench.runs(name, grade) for name in LEARNED_SETS]
+        sets = [bench.runs(name, grade) for name in learned_sets]
         rows = [rows_by_name(runs) for runs in sets]
         features = np.concatenate([runs.columns(recipe.features)[mine] for runs, mine in zip(sets, rows, strict=True)])
         label = np.concatenate([runs.labels["label_mu"][mine] for runs, mine in zip(sets, rows, strict=True)])
@@ -172,26 +180,34 @@ def held_out(bench: Workbench, grade: SensorGrade, recipe: Recipe, *, data_set: 
         expected = estimates_by_strangers(
             learner(bench, EXPECTED_ERROR), features, log_error_ratio(mu, label), fold=fold
         )
-        found = {}
+        found: dict[str, FloatArray] = {}
         ends = np.cumsum([len(mine) for mine in rows])
-        for name, mine, end in zip(LEARNED_SETS, rows, ends, strict=True):
+        for name, mine, end in zip(learned_sets, rows, ends, strict=True):
             part = slice(end - len(mine), end)
             judged = _arrays(mine, fold[part], mu[part], expected[part])
             found |= {f"{name} {what}": values for what, values in judged.items()}
         return found
 
-    found = bench.remembered(f"held-out-random-{grade}-{recipe.key}-{bench.seed}", work)
+    found = bench.remembered(f"held-out-{'-'.join(learned_sets)}-{grade}-{recipe.key}-{bench.seed}", work)
     return _held_out(bench.runs(data_set, grade), found, prefix=f"{data_set} ")
 
 
-def on_other_roads(bench: Workbench, grade: SensorGrade, recipe: Recipe, *, data_set: str) -> HeldOut:
+def on_other_roads(
+    bench: Workbench,
+    grade: SensorGrade,
+    recipe: Recipe,
+    *,
+    data_set: str,
+    learned_sets: tuple[str, ...] = LEARNED_SETS,
+) -> HeldOut:
     """Return the passages of a data set, judged by regressors that learned from all random roads.
 
     Args:
         bench: Where the data comes from.
         grade: Sensors.
         recipe: How to learn, and from which features.
-        data_set: Its name; none of its roads may be a random one. There may be no runs.
+        data_set: Its name; none of its roads may be learned from. There may be no runs.
+        learned_sets: Names of the sets that are learned from.
     """
 
     def work() -> Arrays:
@@ -199,7 +215,7 @@ def on_other_roads(bench: Workbench, grade: SensorGrade, recipe: Recipe, *, data
         rows = rows_by_name(judged)
         if len(rows) == 0:
             return _arrays(rows, rows, np.empty(0), np.empty(0))
-        sets = [held_out(bench, grade, recipe, data_set=name) for name in LEARNED_SETS]
+        sets = [held_out(bench, grade, recipe, data_set=name, learned_sets=learned_sets) for name in learned_sets]
         features = np.concatenate([learned.runs.columns(recipe.features)[learned.rows] for learned in sets])
         label = np.concatenate([learned.label_mu for learned in sets])
         missed = np.concatenate([np.abs(learned.log_ratio) for learned in sets])
@@ -208,7 +224,8 @@ def on_other_roads(bench: Workbench, grade: SensorGrade, recipe: Recipe, *, data
         expected = learner(bench, EXPECTED_ERROR)(features, missed)(there)
         return _arrays(rows, np.zeros_like(rows), mu, expected)
 
-    found = bench.remembered(f"other-roads-{data_set}-{grade}-{recipe.key}-{bench.seed}", work)
+    learned_name = "-".join(learned_sets)
+    found = bench.remembered(f"other-roads-{data_set}-{learned_name}-{grade}-{recipe.key}-{bench.seed}", work)
     return _held_out(bench.runs(data_set, grade), found)
 
 

@@ -18,9 +18,15 @@ def told_by_sample(*best_mu, noise=0.0):
     return -0.5 * WEIGHT * ((FRICTIONS_MU[:, None] - sensed) / 0.05) ** 2
 
 
+def cut(told, weight=WEIGHT):
+    parts = cut_in_two(told, weight, step_s=STEP_S)
+    assert parts is not None
+    return parts
+
+
 @pytest.mark.parametrize("noise", [0.0, 0.03])
 def test_the_cut_is_where_the_friction_changes(noise):
-    first, second = cut_in_two(told_by_sample(0.6, 0.3, noise=noise), WEIGHT, step_s=STEP_S)
+    first, second = cut(told_by_sample(0.6, 0.3, noise=noise))
     assert np.flatnonzero(first)[-1] == COUNT // 2 - 1
     assert first + second == pytest.approx(WEIGHT)
 
@@ -28,7 +34,7 @@ def test_the_cut_is_where_the_friction_changes(noise):
 def test_samples_that_do_not_count_are_in_neither_part():
     weight = np.where(np.arange(COUNT) % 10 == 9, 0.0, WEIGHT)
     told = told_by_sample(0.6, 0.3) * (weight > 0.0)
-    first, second = cut_in_two(told, weight, step_s=STEP_S)
+    first, second = cut(told, weight)
     assert first + second == pytest.approx(weight)
     assert (first * second == 0.0).all()
 
@@ -36,7 +42,7 @@ def test_samples_that_do_not_count_are_in_neither_part():
 def test_no_part_is_shorter_than_what_says_something_of_its_own():
     told = told_by_sample(0.3)
     told[:, :6] = told_by_sample(0.8)[:, :6]
-    first, _ = cut_in_two(told, WEIGHT, step_s=STEP_S)
+    first, _ = cut(told)
     assert np.count_nonzero(first) == pytest.approx(PART_MIN_S / STEP_S)
 
 
