@@ -211,7 +211,7 @@ DESIGNS: Mapping[str, NamedDesign] = {
         "the paper's three roads and random ones, attempts per cell", _mixed, random_roads=True, random_runs=True
     ),
     "default-bundle": NamedDesign(
-        "the mixed roads by usual drivers, by a quarter as many of any speed, two like turns also with two frictions",
+        "the mixed roads by usual drivers, a quarter as many of any speed, like turns also with two frictions",
         _default_bundle,
         random_roads=True,
         random_runs=True,

@@ -207,7 +207,8 @@ def test_with_and_without_positions_the_summary_is_nearly_the_same():
     gnss = fixes_of(section, TRACE.time_s, STATION, rng=np.random.default_rng(1), noise_m=1.0)
     seen = made(summarise_passage(replace(TRACE, gnss=gnss), section)).summary
     blind = made(summarise_passage(TRACE, section)).summary
-    assert np.allclose(quantities(seen), quantities(blind), atol=2e-3)
+    # Log-likelihoods are sums over the drive: a fiftieth of them is nothing.
+    assert np.allclose(quantities(seen), quantities(blind), atol=2e-3, rtol=0.02)
 
 
 # Quality -------------------------------------------------------------------------------------------------------------

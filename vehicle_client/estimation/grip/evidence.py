@@ -81,8 +81,8 @@ def grip_evidence(motion: Motion, *, handling: Handling, geometry: VehicleGeomet
     gain, weak, firm, weak_weight = 0.0, everything, everything, weight
     if (cut := cut_in_two(np.sum(list(told.values()), axis=0), weight, step_s=motion.step_s)) is not None:
         weaker, firmer = sorted((coarse.part(part) for part in cut), key=lambda part: _ceiling(part.peak))
-        close = ask(_close_to_top(weaker.told, _PART_OFFSETS))
-        weak = _joint_peak((coarse, weaker.told), (close, close.part(weaker.weight).told))
+        close = ask(_close_to_top(weaker.told_ratio, _PART_OFFSETS))
+        weak = _joint_peak((coarse, weaker.told_ratio), (close, close.part(weaker.weight).told_ratio))
         firm, weak_weight = firmer.peak, weaker.weight
         gain = min(max(weak.height_ratio + firm.height_ratio - everything.height_ratio, 0.0), GAIN_LIMIT)
 
@@ -159,12 +159,12 @@ class _Part:
 
     Attributes:
         weight: How many independent samples each sample stands for; 0 of those outside the part. (n,)
-        told: How well each friction explains it, by everything that tells. (frictions,)
+        told_ratio: How well each friction explains it, by everything that tells. (frictions,)
         peak: The same about its top.
     """
 
     weight: FloatArray
-    told: FloatArray
+    told_ratio: FloatArray
     peak: Peak
 
 

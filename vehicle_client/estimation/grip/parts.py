@@ -24,13 +24,13 @@ GAIN_MIN = 1.0
 _PART_MIN_COUNT = 3
 
 
-def cut_in_two(told: FloatArray, weight: FloatArray, *, step_s: float) -> tuple[FloatArray, FloatArray] | None:
+def cut_in_two(told_ratio: FloatArray, weight: FloatArray, *, step_s: float) -> tuple[FloatArray, FloatArray] | None:
     """Return the weights of the samples in the first part and in the second, 0 in the other; None if it is not cut.
 
     It is not where it is too short, or where two frictions hardly explain more than one.
 
     Args:
-        told: How well each friction explains every sample. (frictions, n)
+        told_ratio: How well each friction explains every sample. (frictions, n)
         weight: How many independent samples each sample stands for. (n,)
         step_s: Time between samples.
     """
@@ -39,7 +39,7 @@ def cut_in_two(told: FloatArray, weight: FloatArray, *, step_s: float) -> tuple[
     if len(counted) < 2 * least:
         return None
     last_of_first = counted[least - 1 : -least]
-    until = np.cumsum(told, axis=1)
+    until = np.cumsum(told_ratio, axis=1)
     explained = until.max(axis=0) + (until[:, -1:] - until).max(axis=0)
     if explained[last_of_first].max() < until[:, -1].max() + GAIN_MIN:
         return None

@@ -35,45 +35,45 @@ class Peak:
         """Where the top is."""
         return float(self.log_mu[self.top])
 
-    def below(self, drop: float) -> float:
-        """Return how far below its top the likelihood has fallen by `drop`; to the end of the grid if it never does."""
-        return _distance(self.log_mu[self.top :: -1], -self.deviation_ratio[self.top :: -1], drop)
+    def below(self, drop_ratio: float) -> float:
+        """Return how far below its top the likelihood has fallen by so much; the end of the grid if it never does."""
+        return _distance(self.log_mu[self.top :: -1], -self.deviation_ratio[self.top :: -1], drop_ratio)
 
-    def above(self, drop: float) -> float:
+    def above(self, drop_ratio: float) -> float:
         """Return the same above its top."""
-        return _distance(self.log_mu[self.top :], self.deviation_ratio[self.top :], drop)
+        return _distance(self.log_mu[self.top :], self.deviation_ratio[self.top :], drop_ratio)
 
 
-def top_of(log_mu: FloatArray, told: FloatArray) -> int:
+def top_of(log_mu: FloatArray, told_ratio: FloatArray) -> int:
     """Return where a log-likelihood is highest; the middle of all such places if there are several.
 
     Args:
         log_mu: Frictions in rising order. (k,)
-        told: The log-likelihood there. (k,)
+        told_ratio: The log-likelihood there. (k,)
     """
-    best = np.flatnonzero(told >= told.max() - _TIE)
+    best = np.flatnonzero(told_ratio >= told_ratio.max() - _TIE)
     middle = 0.5 * (log_mu[best[0]] + log_mu[best[-1]])
     return int(best[np.argmin(np.abs(log_mu[best] - middle))])
 
 
-def peak_of(log_mu: FloatArray, told: FloatArray) -> Peak:
+def peak_of(log_mu: FloatArray, told_ratio: FloatArray) -> Peak:
     """Return a log-likelihood about its top: of a parabola through the highest place and its neighbours.
 
     Args:
         log_mu: Frictions in rising order. (k,)
-        told: The log-likelihood there. (k,)
+        told_ratio: The log-likelihood there. (k,)
     """
-    top = top_of(log_mu, told)
-    at, height = float(log_mu[top]), float(told[top])
-    if 0 < top < len(told) - 1:
+    top = top_of(log_mu, told_ratio)
+    at, height = float(log_mu[top]), float(told_ratio[top])
+    if 0 < top < len(told_ratio) - 1:
         before, after = log_mu[top - 1] - at, log_mu[top + 1] - at
-        rise, fall = (told[top - 1] - height) / before, (told[top + 1] - height) / after
+        rise, fall = (told_ratio[top - 1] - height) / before, (told_ratio[top + 1] - height) / after
         bend = (fall - rise) / (after - before)
         slope = rise - bend * before
         away = -0.5 * slope / bend if bend < 0.0 else 0.0
         if before < away < after:
             at, height = at + away, height + 0.5 * slope * away
-    deviation = np.sqrt(np.maximum(height - told, 0.0))
+    deviation = np.sqrt(np.maximum(height - told_ratio, 0.0))
     deviation[log_mu < at] *= -1.0
     place = int(np.searchsorted(log_mu, at))
     return Peak(_with(log_mu, place, at), _with(deviation, place, 0.0), place, height)
@@ -84,9 +84,9 @@ def _with(values: FloatArray, place: int, value: float) -> FloatArray:
     return np.concatenate([values[:place], [value], values[place:]])
 
 
-def _distance(log_mu: FloatArray, deviation: FloatArray, drop: float) -> float:
-    """Return how far from the first place on the likelihood has fallen by `drop`."""
-    limit = drop**0.5
+def _distance(log_mu: FloatArray, deviation: FloatArray, drop_ratio: float) -> float:
+    """Return how far from the first place on the likelihood has fallen by so much."""
+    limit = drop_ratio**0.5
     beyond = np.flatnonzero(deviation >= limit)
     if len(beyond) == 0:
         return abs(float(log_mu[-1] - log_mu[0]))

@@ -15,7 +15,7 @@ from training.study.recipes import FIRST_GUESS, Recipe
 from vehicle_client.simulator.plan import SensorGrade
 
 IDEAL = SensorGrade.IDEAL
-FEW_ROUNDS = replace(features.RANKING_FIT, trees_count=12, bins_count=16)
+FEW_ROUNDS = replace(features.RANKING_FIT, trees_count=40, bins_count=16)
 
 
 @pytest.fixture(scope="module")

@@ -66,7 +66,9 @@ def result():
         patch.setattr(pooling, "DRIVEN_SIZES_COUNT", (10, 50))
         patch.setattr(held_out, "EXPECTED_ERROR", FEW)
         patch.setattr(pooling, "CONFIGS", {"paper_config": SMALL, "best": SMALL})
-        desk = Desk(data_sets={"paper": made_up_runs(300), "random-roads": named})
+        two = replace(made_up_runs(60, seed=6), section_id=tuple(f"two-{i % 6}" for i in range(60)))
+        sets = {"paper": made_up_runs(300), "random-roads": named, "random-roads-two-frictions": two}
+        desk = Desk(data_sets=sets)
         return pooling.CHAPTER.compute(desk, SensorGrade.IDEAL)
 
 

@@ -42,6 +42,7 @@ def result():
     desk = Desk(
         data_sets={
             "random-roads": with_profiles(drives_on_roads(40, shy_noise=0.3)),
+            "random-roads-two-frictions": with_profiles(drives_on_roads(4, shy_noise=0.3, seed=9, prefix="two")),
             "random-roads-batches": crowded_roads(),
         }
     )
