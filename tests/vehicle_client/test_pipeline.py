@@ -207,8 +207,12 @@ def test_with_and_without_positions_the_summary_is_nearly_the_same():
     gnss = fixes_of(section, TRACE.time_s, STATION, rng=np.random.default_rng(1), noise_m=1.0)
     seen = made(summarise_passage(replace(TRACE, gnss=gnss), section)).summary
     blind = made(summarise_passage(TRACE, section)).summary
-    # Log-likelihoods are sums over the drive: a fiftieth of them is nothing.
-    assert np.allclose(quantities(seen), quantities(blind), atol=2e-3, rtol=0.02)
+    with_unit = [feature.name for feature in TABLES[seen.table_digest].kinematic if feature.unit]
+    # Of these one is a log-likelihood, summed over the drive, the other tells of the part that knows little.
+    rough = np.isin(with_unit, ["grip_parts_gain_ratio", "grip_firm_below_1sd_ratio"])
+    there, blindly = np.array(quantities(seen)), np.array(quantities(blind))
+    assert np.allclose(there[~rough], blindly[~rough], atol=2e-3)
+    assert np.allclose(there[rough], blindly[rough], rtol=0.02)
 
 
 # Quality -------------------------------------------------------------------------------------------------------------
