@@ -22,16 +22,17 @@ POLICY = AdvisoryPolicy()
 PAPER = "paper"
 BEST = "best"
 BOXED = "best, in a box"
-ANY = "best, taught any speed"
+USUAL = "best, taught usual drives"
 SPEED = "speed only"
 TEACHINGS: tuple[Teaching, ...] = (
     Teaching(PAPER, PAPER_RECIPE, USUAL_SETS),
-    Teaching(BEST, BEST_RECIPE, USUAL_SETS),
+    Teaching(BEST, BEST_RECIPE, DATA_SETS),
+    Teaching(USUAL, BEST_RECIPE, USUAL_SETS),
     Teaching(BOXED, BEST_RECIPE, USUAL_SETS, in_a_box=True),
-    Teaching(ANY, BEST_RECIPE, DATA_SETS),
     Teaching(SPEED, SPEED_ONLY_RECIPE, USUAL_SETS),
 )
-"""The last one is a warning: it knows nothing but speeds."""
+"""The best one learns from drives at any speed as well, as a bundle does. The last one is a warning: it knows nothing
+but speeds."""
 
 MEDIAN = "median"
 HELD = "median, held while unknown"
@@ -86,15 +87,15 @@ def _all_obey(teaching: str, rule: str) -> tuple[Setting, ...]:
 
 QUICK_SETTINGS: tuple[Setting, ...] = (
     *(Setting(BEST, rule, share) for rule in (MEDIAN, HELD, HELD_CUT) for share in COMPLIANCES_FRAC),
-    *(Setting(teaching, MEDIAN, share) for teaching in (ANY, PAPER, BOXED) for share in COMPLIANCES_FRAC[-1:]),
+    *(Setting(teaching, MEDIAN, share) for teaching in (USUAL, PAPER, BOXED) for share in COMPLIANCES_FRAC[-1:]),
     *(setting for rule in (MEDIAN, HELD, HELD_CUT) for setting in _all_obey(BEST, rule)),
 )
 SETTINGS: tuple[Setting, ...] = (
     *(Setting(BEST, rule, share) for rule in RULES for share in (*COMPLIANCES_FRAC[:2], NEARLY_ALL_FRAC, 1.0)),
-    *(Setting(teaching, MEDIAN, share) for teaching in (ANY, PAPER) for share in COMPLIANCES_FRAC),
+    *(Setting(teaching, MEDIAN, share) for teaching in (USUAL, PAPER) for share in COMPLIANCES_FRAC),
     *(Setting(BOXED, MEDIAN, share) for share in COMPLIANCES_FRAC[1:]),
     Setting(SPEED, MEDIAN, 1.0),
     *(Setting(BEST, HELD, 0.5, ratio) for ratio in WRONG_RATIOS),
-    *(setting for teaching in (BEST, ANY, PAPER, SPEED) for setting in _all_obey(teaching, MEDIAN)),
+    *(setting for teaching in (BEST, USUAL, PAPER, SPEED) for setting in _all_obey(teaching, MEDIAN)),
     *(setting for rule in RULES if rule != MEDIAN for setting in _all_obey(BEST, rule)),
 )

@@ -12,7 +12,6 @@ from rsu_app.domain.interval import MEDIAN_TYRE_RATIO
 from training.closed_loop import Course
 from training.study.chapter import Cell, Table
 from training.study.generalise.loop_cases import (
-    ANY,
     BEST,
     COMPLIANCES_FRAC,
     FRICTIONS_MU,
@@ -25,6 +24,7 @@ from training.study.generalise.loop_cases import (
     REFINED_CUT,
     SLIPPERY,
     SPEED,
+    USUAL,
     WRONG_RATIOS,
     Setting,
 )
@@ -232,7 +232,7 @@ def pictures(went: Courses, when: Sequence[Phase]) -> tuple[Lines, ...]:
 
     obedient = [Setting(BEST, rule, 1.0) for rule in (MEDIAN, REFINED_CUT, LIKELIHOODS, HELD_CUT)]
     half = [Setting(BEST, rule, 0.5) for rule in (MEDIAN, HELD_CUT, REFINED_CUT, LIKELIHOODS)]
-    models = [Setting(name, MEDIAN, 1.0) for name in (PAPER, BEST, ANY, SPEED)]
+    models = [Setting(name, MEDIAN, 1.0) for name in (PAPER, BEST, USUAL, SPEED)]
     lied = [Setting(BEST, HELD, 1.0, ratio) for ratio in (WRONG_RATIOS[0], 1.0, WRONG_RATIOS[1])]
     advice = [Setting(BEST, rule, 1.0) for rule in (MEDIAN, HELD, LIKELIHOODS)]
     return (

@@ -9,18 +9,16 @@ import numpy as np
 from training.study.chapter import Claim, Result, Verdict
 from training.study.folds import RANDOM_ROADS_SET
 from training.study.generalise.loop_cases import (
-    ANY,
     BEST,
     BOXED,
     FRICTIONS_MU,
     HELD,
     HELD_CUT,
-    LIKELIHOODS,
     MEDIAN,
-    NEARLY_ALL_FRAC,
+    PAPER,
     PHASE_NAMES,
-    REFINED_CUT,
     SETTINGS,
+    USUAL,
     WRONG_RATIOS,
     Setting,
 )
@@ -35,6 +33,8 @@ LOCKED_BELOW_RATIO = 0.7
 """Advice below this share of the right one is locked in; rounding down by 5 km/h alone may cost a seventh of it."""
 COUNTED_FRAC = 0.95
 """So many of the summaries of obedient drivers must count."""
+LIED_TO = ((BEST, MEDIAN), (BEST, HELD), (BEST, HELD_CUT), (PAPER, MEDIAN))
+"""Models and rules of which the verdict tells what a wrong advice makes of them; tables tell of all."""
 
 
 def verdict(results: Mapping[SensorGrade, Result]) -> Verdict:
@@ -46,7 +46,7 @@ def verdict(results: Mapping[SensorGrade, Result]) -> Verdict:
     ]
     text = (
         _counted_words(results, grade)
-        + _found_words(figures, grade)
+        + _found_words(results, grade)
         + _held_words(figures)
         + _lie_words(figures)
         + f"On slippery road {per_cent_words(left[0])} of the vehicles leave it where nobody obeys, "
@@ -66,13 +66,14 @@ def _counted_words(results: Mapping[SensorGrade, Result], grade: SensorGrade) ->
     words = ", ".join(f"{per_cent_words(value)} ({of})" for of, value in least.items())
     enough = "they stay inside the envelope" if min(least.values()) >= COUNTED_FRAC else "still too few"
     return (
-        f"Obedient drivers are slow, and a box of the features' extremes takes that for strange: of their summaries "
-        f"{per_cent_words(_least_counted(figures, BOXED))} count at worst ({grade}). By what ordinary driving looks "
-        f"like {words} count at worst: {enough}. Taught drives at any speed as well, the model errs by "
-        f"{by_grade(results, f'{ANY}.{ANY_SPEED_SET}.mape')} on such drives that it did not see instead of "
-        f"{by_grade(results, f'{BEST}.{ANY_SPEED_SET}.mape')}, and on usual drives of unseen roads by "
-        f"{by_grade(results, f'{ANY}.{RANDOM_ROADS_SET}.mape')} instead of "
-        f"{by_grade(results, f'{BEST}.{RANDOM_ROADS_SET}.mape')}. "
+        "Obedient drivers are slow, and a model that never met such takes them for strange: of their summaries "
+        f"{per_cent_words(_least_counted(figures, USUAL))} count at worst if it was taught usual drives alone "
+        f"({grade}), {per_cent_words(_least_counted(figures, BOXED))} by a box of the features' extremes. Taught "
+        f"drives at any speed as well, as a bundle is, {words} count at worst: {enough}. The best model "
+        f"then errs by {by_grade(results, f'{BEST}.{ANY_SPEED_SET}.mape')} on such drives that it did not see, not "
+        f"{by_grade(results, f'{USUAL}.{ANY_SPEED_SET}.mape')}, and on usual drives of unseen roads by "
+        f"{by_grade(results, f'{BEST}.{RANDOM_ROADS_SET}.mape')}, not "
+        f"{by_grade(results, f'{USUAL}.{RANDOM_ROADS_SET}.mape')}. "
     )
 
 
@@ -88,21 +89,16 @@ def _least_counted(figures: Mapping[str, float], teaching: str) -> float:
     return min(known, default=np.nan)
 
 
-def _found_words(figures: Mapping[str, float], grade: SensorGrade) -> str:
+def _found_words(results: Mapping[SensorGrade, Result], grade: SensorGrade) -> str:
+    figures = results[grade].figures
     told = []
-    for share in (0.5, NEARLY_ALL_FRAC, 1.0):
-        words = [
-            _bias_words(figures, setting)
-            for rule in (MEDIAN, HELD, HELD_CUT, REFINED_CUT, LIKELIHOODS)
-            if _is_driven(figures, setting := Setting(BEST, rule, share))
+    for share in (0.5, 1.0):
+        by_rule = [
+            f"{', '.join(_bias_words(results[of].figures, Setting(BEST, rule, share), of) for of in results)}{how}"
+            for rule, how in ((HELD, ""), (HELD_CUT, " with windows cut at changes"))
         ]
-        told += [f"where {100.0 * share:.0f} % obey, {', '.join(words)}"] if words else []
-    lags = {
-        rule: figures[name] / 60.0
-        for rule in (HELD, HELD_CUT, REFINED_CUT, LIKELIHOODS)
-        if (name := f"{Setting(BEST, rule, 0.5).name}.slippery.worst_lag_s") in figures
-    }
-    late = ", ".join(f"{lag:.0f} min ({rule})" if np.isfinite(lag) else f"never ({rule})" for rule, lag in lags.items())
+        told.append(f"where {100.0 * share:.0f} % obey by {' and by '.join(by_rule)}")
+    late = ", ".join(_lag_words(figures, rule) for rule in (HELD, HELD_CUT))
     blind = abs(_worst(figures, Setting(BEST, MEDIAN, 1.0), "worst_bias")) > KNOWN_WITHIN_FRAC
     reason = (
         "Who obeys uses so little of the grip that he hardly feels how much there is: the better the advice is obeyed, "
@@ -111,14 +107,10 @@ def _found_words(figures: Mapping[str, float], grade: SensorGrade) -> str:
         else "Those who obey still use enough of the grip to know it. "
     )
     return (
-        f"Once settled the middle of the interval is off by, at worst over phases and roads ({grade}), "
-        f"{'; '.join(told)}. With half of the drivers obeying, the drop to {FRICTIONS_MU[1]:g} is known after {late}. "
-        f"{reason}"
+        "Once settled, the middle of the interval is off at worst over phases and roads "
+        f"{'; '.join(told)}. With half of the drivers obeying, the drop to {FRICTIONS_MU[1]:g} is known after {late} "
+        f"({grade}). {reason}"
     )
-
-
-def _is_driven(figures: Mapping[str, float], setting: Setting) -> bool:
-    return f"{setting.name}.{PHASE_NAMES[0]}.worst_bias" in figures
 
 
 def _held_words(figures: Mapping[str, float]) -> str:
@@ -143,13 +135,18 @@ def _held_words(figures: Mapping[str, float]) -> str:
     )
 
 
-def _bias_words(figures: Mapping[str, float], setting: Setting) -> str:
+def _bias_words(figures: Mapping[str, float], setting: Setting, grade: SensorGrade) -> str:
     """Return what a unit claims wrongly, and how much of the time it claims nothing."""
     claimed, marked = _worst(figures, setting, "worst_claimed_bias"), _worst(figures, setting, "most_marked")
     if not np.isfinite(claimed):
-        return f"nothing claimed ({setting.rule})"
+        return f"nothing claimed ({grade})"
     often = f", up to {100.0 * marked:.0f} % of the time only a bound" if marked > 0.0 else ""
-    return f"{100.0 * claimed:+.0f} % ({setting.rule}{often})"
+    return f"{100.0 * claimed:+.0f} % ({grade}{often})"
+
+
+def _lag_words(figures: Mapping[str, float], rule: str) -> str:
+    lag_s = figures[f"{Setting(BEST, rule, 0.5).name}.slippery.worst_lag_s"]
+    return f"{lag_s / 60.0:.0f} min ({rule})" if np.isfinite(lag_s) else f"never ({rule})"
 
 
 def _worst(figures: Mapping[str, float], setting: Setting, measure: str) -> float:
@@ -158,7 +155,9 @@ def _worst(figures: Mapping[str, float], setting: Setting, measure: str) -> floa
 
 def _lie_words(figures: Mapping[str, float]) -> str:
     words = []
-    for teaching, rule in {(s.teaching, s.rule): None for s in SETTINGS if _is_lie(s, figures)}:
+    for teaching, rule in LIED_TO:
+        if f"{Setting(teaching, rule, 1.0, WRONG_RATIOS[0]).name}.{PHASE_NAMES[0]}.claimed_towards_lie" not in figures:
+            continue
         claimed, advised = (_towards_lie(figures, teaching, rule, what) for what in ("claimed", "advised"))
         who = f"{teaching}, {rule}"
         moved = f"the unit's own advice moves {100.0 * advised:+.0f} % towards the lie"
@@ -168,10 +167,6 @@ def _lie_words(figures: Mapping[str, float]) -> str:
         confirmed = "confirms itself" if claimed > CONFIRMS_ABOVE_FRAC else "does not confirm itself"
         words.append(f"{who}: {confirmed} ({100.0 * claimed:+.0f} % towards the lie), {moved}")
     return f"An advice that all obey and that is wrong by 30 % on purpose, at worst: {'; '.join(words)}. "
-
-
-def _is_lie(setting: Setting, figures: Mapping[str, float]) -> bool:
-    return setting.told_ratio != 1.0 and setting.compliance_frac == 1.0 and _is_driven(figures, setting)
 
 
 def _towards_lie(figures: Mapping[str, float], teaching: str, rule: str, what: str) -> float:

@@ -43,6 +43,7 @@ from training.study.generalise.rules import (
 from training.study.generalise.uncertainty import recommended
 from training.study.picture import Axis, Line, Lines, Picture
 from training.study.recipes import BEST_RECIPE, PAPER_RECIPE, Recipe
+from training.study.wording import by_grade, per_cent_words
 from vehicle_client.simulator.plan import SensorGrade
 
 MU_NEW = 0.5
@@ -52,8 +53,8 @@ WINDOWS_COUNT = 2000
 QUICK_WINDOWS_COUNT = 60
 BATCHES_COUNT = 300
 QUICK_BATCHES_COUNT = 12
-BEST = "best"
-CONFIGS: Mapping[str, Recipe] = {"paper_config": PAPER_RECIPE, BEST: BEST_RECIPE}
+PAPER, BEST = "paper_config", "best"
+CONFIGS: Mapping[str, Recipe] = {PAPER: PAPER_RECIPE, BEST: BEST_RECIPE}
 """The regressors whose estimates are pooled, by the name the study's headlines give them."""
 
 KINDS_OF_TRAFFIC: Mapping[str, Traffic] = {
@@ -310,44 +311,44 @@ def _driven_picture(where: str, judged: Mapping[tuple[str, int], Judged]) -> Lin
 
 def verdict(results: Mapping[SensorGrade, Result]) -> Verdict:
     """Say what the refined interval wins, and where."""
-    texts = []
     first = next(iter(results.values())).figures
-    median, refined = (first[f"simulated.known errors.{rule}.50"] for rule in (MEDIAN, REFINED))
-    shy_median, shy_km, shy_refined = (
-        first[f"simulated.six in ten need little grip.{rule}.50"] for rule in (MEDIAN, KAPLAN_MEIER, REFINED)
+    known_errors, shy = "known errors", "six in ten need little grip"
+
+    def drawn(name: str, rule: str) -> str:
+        return per_cent_words(first[f"simulated.{name}.{rule}.50"])
+
+    def worst(where: str, config: str, rule: str, size: int) -> str:
+        return by_grade(results, f"{where}.{config}.{rule}.{size}.worst_p95")
+
+    def both(where: str, config: str, size: int) -> str:
+        return f"{worst(where, config, MEDIAN, size)} by the median, {worst(where, config, REFINED, size)} refined"
+
+    text = (
+        f"With fifty vehicles whose errors are known the median is off by {drawn(known_errors, MEDIAN)} in the mean, "
+        f"the refined interval by {drawn(known_errors, REFINED)}. If six in ten need little grip and only know a lower "
+        f"bound, the plain median is off by {drawn(shy, MEDIAN)}, the Kaplan-Meier median by "
+        f"{drawn(shy, KAPLAN_MEIER)}, the refined interval by {drawn(shy, REFINED)}. An error of 3 % that all share "
+        "swamps such gains; the half-width that allows for it holds the truth in "
+        f"{per_cent_words(first['half_width.widened.held_frac'])} of the windows, a plain one in "
+        f"{per_cent_words(first['half_width.plain.held_frac'])}. Driven, by the best regressor, in the worst cell of "
+        f"road and friction: ten vehicles on known roads {both('known', BEST, 10)}; fifty {both('known', BEST, 50)}, "
+        f"with perfect estimates {worst('known', BEST, FLOOR, 50)}; fifty on the paper's roads when nothing was "
+        f"learned of them {both('unseen', BEST, 50)}. {_where_named(results, f'unseen.{BEST}')} The paper's "
+        f"configuration, fifty vehicles: known roads {both('known', PAPER, 50)}; unseen ones "
+        f"{both('unseen', PAPER, 50)}."
     )
-    texts.append(
-        f"With fifty vehicles whose errors are known the median is off by {100.0 * median:.2f} % in the mean, the "
-        f"refined interval by {100.0 * refined:.2f} %. If six in ten need little grip and only know a lower bound, the "
-        f"plain median is off by {100.0 * shy_median:.1f} %, the Kaplan-Meier median by {100.0 * shy_km:.1f} %, the "
-        f"refined interval by {100.0 * shy_refined:.1f} %. An error of 3 % that all share swamps such gains; the "
-        f"half-width that allows for it holds the truth in {100.0 * first['half_width.widened.held_frac']:.0f} % of "
-        f"the windows, a plain one in {100.0 * first['half_width.plain.held_frac']:.0f} %."
-    )
-    for grade, result in results.items():
-        figures = result.figures
-        for config in CONFIGS:
-            for where, size in (("known", 10), ("known", 50), ("unseen", 50)):
-                found = {rule: figures[f"{where}.{config}.{rule}.{size}.worst_p95"] for rule in JUDGED}
-                best = min(found, key=lambda rule: found[rule])
-                floor = figures[f"{where}.{config}.{FLOOR}.{size}.worst_p95"]
-                texts.append(
-                    f"{grade.value.capitalize()} sensors, {where} roads, {size} vehicles ({config}): worst cell "
-                    f"{100.0 * found[MEDIAN]:.1f} % by the median, {100.0 * found[REFINED]:.1f} % refined; the least "
-                    f"of all rules {100.0 * found[best]:.1f} % ({best}), with perfect estimates {100.0 * floor:.1f} %. "
-                    + _where_answered(figures, f"{where}.{config}", size)
-                )
-    return Verdict(Claim.NOT_CLAIMED, " ".join(texts))
+    return Verdict(Claim.NOT_CLAIMED, text)
 
 
-def _where_answered(figures: Mapping[str, float], place: str, size: int) -> str:
-    answered = figures[f"{place}.{BOUNDED}.{size}.answered_frac"]
-    if answered == 0.0:
+def _where_named(results: Mapping[SensorGrade, Result], place: str) -> str:
+    """Return how far off the batches are for which a friction is named, in a sentence."""
+    frac = f"{place}.{BOUNDED}.50.answered_frac"
+    answered = {grade: result for grade, result in results.items() if result.figures[frac] > 0.0}
+    if not answered:
         return "If doubtful estimates count as bounds, no batch has enough that name a friction."
-    careful, median = (figures[f"{place}.{rule}.{size}.worst_p95"] for rule in (BOUNDED, MEDIAN_THERE))
     return (
-        f"If doubtful estimates count as bounds, {100.0 * answered:.0f} % of the batches are answered; the worst cell "
-        f"is then {100.0 * careful:.1f} %, and {100.0 * median:.1f} % by the median of the same batches."
+        f"If doubtful estimates count as bounds, a friction is named in {by_grade(answered, frac)} of these batches; "
+        f"the worst cell is then {by_grade(answered, f'{place}.{BOUNDED}.50.worst_p95')}."
     )
 
 

@@ -37,16 +37,28 @@ from training.study.chapter import Cell as TableCell
 from training.study.folds import LEARNED_SETS, RANDOM_ROADS_SET, learner
 from training.study.generalise.held_out import HeldOut, by_use, held_out, on_other_roads
 from training.study.generalise.mean_features import learned_for_windows
-from training.study.generalise.pooling import CONFIGS, passages_of
-from training.study.generalise.rules import MEDIAN, POLICY, REFINED, RULES, WEIGHTED, interval_of, rule_on_rows
+from training.study.generalise.passages import Passages
+from training.study.generalise.pooling import BEST, BOUNDED, CONFIGS, PAPER, Judged, judged_of, passages_of
+from training.study.generalise.rules import (
+    MEDIAN,
+    POLICY,
+    REFINED,
+    RULES,
+    WEIGHTED,
+    interval_of,
+    refined_or_nothing_mu,
+    rule_on_rows,
+)
 from training.study.generalise.shrinkage import (
     evidence_of_estimates,
     learned_shrinkage,
     learned_temper_exponent,
     spread_ratio,
 )
+from training.study.generalise.uncertainty import recommended
 from training.study.picture import Axis, Line, Lines
 from training.study.recipes import Recipe
+from training.study.wording import by_grade, per_cent_words
 from vehicle_client.simulator.plan import SensorGrade
 
 BATCHES_SET = "random-roads-batches"
@@ -69,6 +81,8 @@ CHOSEN = LIKELIHOOD
 """The estimator of the headline, chosen on other roads than those that judge it: it asks nothing new of a bundle but a
 table of sixty numbers, and nothing of a unit but what its window holds."""
 COMPARED = (MEDIAN, WEIGHTED, REFINED, PROFILES, LIKELIHOOD, MIXTURE, MEAN_FEATURES, BOTH)
+NAMED = (MEDIAN, BOUNDED, CHOSEN)
+"""What is compared where a unit names a friction at all; `BOUNDED` says where that is."""
 
 _BIAS_WORST = ("mean bias", "worst 95th percentile")
 
@@ -76,6 +90,8 @@ BatchRule: TypeAlias = Callable[[RowBatches], FloatArray]
 """From the rows of batches to the midpoint for each."""
 Errors: TypeAlias = dict[tuple[str, int], tuple[CellErrors, ...]]
 """Of every cell, by rule and number of vehicles."""
+Named: TypeAlias = dict[tuple[str, int], Judged]
+"""In short, by rule and number of vehicles, of the batches for which a unit names a friction."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,9 +141,12 @@ def compute(bench: Workbench, grade: SensorGrade) -> Result:
         there = on_other_roads(bench, grade, recipe, data_set=BATCHES_SET)
         temper_exponent = profile_temper_exponent(bench, grade, learned)
         rules = rules_on(bench, grade, recipe, learned, there, temper_exponent=temper_exponent)
+        told = passages_of(there).with_bounds(recommended(learned))
+        naming_rule = _one_by_one(rule_on_rows(refined_or_nothing_mu, told))
         cells = cells_of(judged.section_id, judged.labels["base_friction_mu"], rows=there.rows)
         sizes |= {"drives learned from": len(learned), "drives judged": len(there), "cells": len(cells)}
         found: Errors = {}
+        named: Named = {}
         for size in SIZES_COUNT:
             bench.report(f"{size} vehicles on unseen roads, {recipe.name}, {grade}", 0, 1)
             batches = [batches_of_cell(cell, size_count=size, batches_count=count, seed=bench.seed) for cell in cells]
@@ -135,16 +154,31 @@ def compute(bench: Workbench, grade: SensorGrade) -> Result:
             answers = {name: rule(rows) for name, rule in rules.items()}
             answers[BOTH] = np.sqrt(answers[LIKELIHOOD] * answers[MEAN_FEATURES])
             found |= {(name, size): errors_of_cells(cells, mu, size_count=size) for name, mu in answers.items()}
+            answers[BOUNDED] = naming_rule(rows)
+            for name in NAMED:
+                mu = np.where(np.isfinite(answers[BOUNDED]), answers[name], np.nan)
+                named[name, size] = judged_of(errors_of_cells(cells, mu, size_count=size))
         figures[f"{config}.temper_exponent"] = temper_exponent
         for size in SIZES_COUNT:
             figures[f"{config}.half_width.{size}.held_frac"] = half_width_held_frac(
                 there, cells, size_count=size, batches_count=min(count, HELD_BATCHES_COUNT), seed=bench.seed
             )
+            figures[f"{config}.bound.{size}.held_frac"] = bounds_held_frac(
+                told, cells, size_count=size, batches_count=min(count, HELD_BATCHES_COUNT), seed=bench.seed
+            )
+        for (name, size), one in named.items():
+            figures[f"{config}.named.{name}.{size}.answered_frac"] = one.answered_frac
+            figures[f"{config}.named.{name}.{size}.mean"] = one.mean_ratio
+            figures[f"{config}.named.{name}.{size}.worst_p95"] = one.worst.p95_ratio
         for (name, size), errors in found.items():
             figures |= {f"{config}.{name}.{size}.{what}": value for what, value in _in_short(errors).items()}
         figures[f"headline.{config}.interval50_worst_unseen"] = figures[f"{config}.{CHOSEN}.50.worst_p95"]
+        named_50 = named[BOUNDED, 50]
+        figures[f"headline.{config}.interval50_worst_unseen_named"] = named_50.worst.p95_ratio
+        figures[f"headline.{config}.interval50_named_frac_unseen"] = named_50.answered_frac
         figures[f"headline.{config}.interval50_worst_unseen_median"] = figures[f"{config}.{MEDIAN}.50.worst_p95"]
         tables += [_table(recipe.name, found, size) for size in SIZES_COUNT]
+        tables.append(_table_of_named(config, recipe.name, named, figures))
         tables.append(_table_by_use(recipe.name, found, use_ratio=_use_ratio(cells, judged)))
         pictures.append(_picture(recipe.name, found))
     return Result(figures=figures, sizes=sizes, tables=tuple(tables), pictures=tuple(pictures))
@@ -243,6 +277,27 @@ def half_width_held_frac(
     return float(np.mean(held))
 
 
+def bounds_held_frac(
+    told: Passages, cells: tuple[Cell, ...], *, size_count: int, batches_count: int, seed: int
+) -> float:
+    """Return how often "at least" is true, where the unit says no more; NaN where it always names a friction.
+
+    Args:
+        told: What passages say, doubtful ones as bounds; one for every run.
+        cells: Of the roads that judge.
+        size_count: Vehicles in a batch.
+        batches_count: Batches of each cell.
+        seed: Of the draws.
+    """
+    held = []
+    for cell in cells:
+        for batch in batches_of_cell(cell, size_count=size_count, batches_count=batches_count, seed=seed):
+            placed = interval_of(told.rows(batch), policy=POLICY)
+            if placed.at_least:
+                held.append(placed.mu_new <= cell.base_friction_mu)
+    return float(np.mean(held)) if held else np.nan
+
+
 def _one_by_one(rule: Callable[[RowIndices], float]) -> BatchRule:
     return lambda batches: np.array([rule(batch) for batch in batches], dtype=np.float64)
 
@@ -290,6 +345,31 @@ def _table(recipe_name: str, found: Errors, size: int) -> Table:
         tuple(rows),
         "Bias: mean signed error of the batches of one road and one base friction; its magnitude averaged over such "
         "cells, and the largest. 95th percentile of the magnitude over batches: median over cells, and the worst.",
+    )
+
+
+def _table_of_named(config: str, recipe_name: str, named: Named, figures: Mapping[str, float]) -> Table:
+    rows: list[tuple[TableCell, ...]] = []
+    for (name, size), one in named.items():
+        held = figures[f"{config}.bound.{size}.held_frac"]
+        where = f"{one.worst.road} at {one.worst.base_friction_mu:.2f}, {100.0 * one.worst.bias_ratio:+.0f}"
+        rows.append(
+            (
+                size,
+                name,
+                100.0 * one.answered_frac,
+                100.0 * one.mean_ratio,
+                100.0 * one.worst.p95_ratio,
+                where,
+                None if np.isnan(held) else 100.0 * held,
+            )
+        )
+    return Table(
+        f"Batches on unseen random roads for which a unit names a friction, {recipe_name} regressor, in per cent",
+        ("vehicles", "rule", "named", "mean error", "worst 95th percentile", "there, bias", "else the bound holds"),
+        tuple(rows),
+        "Doubtful estimates count as bounds, as a bundle has it; where too few others are left, the unit only says "
+        '"at least". All rules are judged on the batches for which it says more.',
     )
 
 
@@ -343,30 +423,52 @@ def _picture(recipe_name: str, found: Errors) -> Lines:
 
 def verdict(results: Mapping[SensorGrade, Result]) -> Verdict:
     """Say what adding up likelihoods wins over adding up answers, and what is left."""
-    texts = [_told(grade, config, result.figures) for grade, result in results.items() for config in CONFIGS]
-    return Verdict(Claim.NOT_CLAIMED, " ".join(texts))
 
+    def told(config: str, rule: str, what: str) -> str:
+        return by_grade(results, f"{config}.{rule}.50.{what}")
 
-def _told(grade: SensorGrade, config: str, figures: Mapping[str, float]) -> str:
-    def per_cent(rule: str, what: str) -> str:
-        return f"{100.0 * figures[f'{config}.{rule}.50.{what}']:.1f} %"
+    def least(grade: SensorGrade) -> str:
+        worst = {rule: results[grade].figures[f"{BEST}.{rule}.50.worst_p95"] for rule in COMPARED}
+        rule = min(COMPARED, key=lambda name: worst[name])
+        return f"{per_cent_words(worst[rule])} ({grade}, {rule})"
 
-    worst = {rule: figures[f"{config}.{rule}.50.worst_p95"] for rule in COMPARED}
-    least = min(COMPARED, key=lambda rule: worst[rule])
-    change = worst[CHOSEN] / worst[MEDIAN] - 1.0
-    direction = "less" if change < 0.0 else "more"
-    return (
-        f"{grade.value.capitalize()} sensors, {config}, fifty vehicles on unseen roads: the median is off by "
-        f"{per_cent(MEDIAN, 'bias_mean')} in the mean over roads and frictions, the refined interval by "
-        f"{per_cent(REFINED, 'bias_mean')}, the sum of the vehicles' likelihoods by {per_cent(PROFILES, 'bias_mean')}, "
-        f"that of the regressor's likelihoods by {per_cent(LIKELIHOOD, 'bias_mean')}, a regressor for mean features by "
-        f"{per_cent(MEAN_FEATURES, 'bias_mean')}. In the worst cell 95 % of the batches are within "
-        f"{per_cent(CHOSEN, 'worst_p95')} with the regressor's likelihoods, {abs(100.0 * change):.0f} % {direction} "
-        f"than with the median; the least of all rules is {per_cent(least, 'worst_p95')} ({least}). "
-        "The refined interval's half-width, which says 95 %, holds the truth in "
-        f"{100.0 * figures[f'{config}.half_width.50.held_frac']:.0f} % of the batches. What is left is "
-        "what all vehicles on one road share, which no number of them averages out."
+    text = (
+        "Fifty vehicles on roads never seen, best regressor: the middle of the interval is off by "
+        f"{told(BEST, MEDIAN, 'bias_mean')} by the median in the mean over roads and frictions, by "
+        f"{told(BEST, REFINED, 'bias_mean')} refined, and by {told(BEST, CHOSEN, 'bias_mean')} if the regressor's "
+        "likelihoods are added up; by those that the vehicles send, without any regressor, by "
+        f"{told(BEST, PROFILES, 'bias_mean')}. The paper's configuration comes to "
+        f"{told(PAPER, MEDIAN, 'bias_mean')} by the median. In the worst cell of road and friction 95 % of the batches "
+        f"are within {told(BEST, MEDIAN, 'worst_p95')} by the median and {told(BEST, CHOSEN, 'worst_p95')} by the "
+        f"regressor's likelihoods; the least of all rules is {', '.join(least(grade) for grade in results)}. What is "
+        "left is what all vehicles on one road share, most of all where none of them needs much grip: no number of "
+        f"them averages it out. {_where_named(results, BEST)} The refined interval's half-width, which says "
+        f"95 %, holds the truth in {told(BEST, 'half_width', 'held_frac')} of the batches."
     )
+    return Verdict(Claim.NOT_CLAIMED, text)
+
+
+def _where_named(results: Mapping[SensorGrade, Result], config: str) -> str:
+    """Return how far off the batches are for which a unit names a friction, and how often it is right elsewhere."""
+    named = f"{config}.named.{BOUNDED}.50"
+    answered = {grade: result for grade, result in results.items() if result.figures[f"{named}.answered_frac"] > 0.0}
+    bounded = {grade: result for grade, result in results.items() if np.isfinite(result.figures[_held(config)])}
+    text = "A unit that takes doubtful estimates for bounds "
+    if answered:
+        text += (
+            f"names a friction in {by_grade(answered, f'{named}.answered_frac')} of the batches, and is then off by "
+            f"{by_grade(answered, f'{named}.mean')} in the mean, {by_grade(answered, f'{named}.worst_p95')} in the "
+            "worst cell"
+        )
+    else:
+        text += "names no friction"
+    return text + (
+        f'; elsewhere it says "at least", rightly in {by_grade(bounded, _held(config))}.' if bounded else "."
+    )
+
+
+def _held(config: str) -> str:
+    return f"{config}.bound.50.held_frac"
 
 
 CHAPTER = Chapter(

@@ -83,12 +83,19 @@ def test_the_chapter_gives_its_headlines(result):
     assert all(len(row) == len(table.columns) for table in result.tables for row in table.rows)
 
 
-def test_the_verdict_names_the_rule_that_erred_least(result):
+def test_the_verdict_follows_the_figures(result):
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(pooling, "CONFIGS", {"paper_config": SMALL})
-        told = pooling.CHAPTER.verdict({SensorGrade.IDEAL: result})
-        assert told.claim is Claim.NOT_CLAIMED
+        patch.setattr(pooling, "CONFIGS", {"paper_config": SMALL, "best": SMALL})
         for where in ("known", "unseen"):
-            figures = {**result.figures, f"{where}.paper_config.{MEDIAN}.50.worst_p95": 0.0}
+            figures = {**result.figures, f"{where}.best.{MEDIAN}.50.worst_p95": 0.4321}
             told = pooling.CHAPTER.verdict({SensorGrade.IDEAL: replace(result, figures=figures)})
-            assert f"({MEDIAN})" in told.text
+            assert told.claim is Claim.NOT_CLAIMED
+            assert "43.2 % (ideal) by the median" in told.text
+
+
+def test_the_verdict_says_so_where_nothing_is_named(result):
+    name = f"unseen.best.{pooling.BOUNDED}.50"
+    nothing = {f"{name}.answered_frac": 0.0, f"{name}.worst_p95": np.nan}
+    told = pooling.CHAPTER.verdict({SensorGrade.IDEAL: replace(result, figures={**result.figures, **nothing})})
+    assert "no batch has enough that name a friction" in told.text
+    assert "nan" not in told.text

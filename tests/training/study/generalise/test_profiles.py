@@ -11,6 +11,7 @@ from tests.training.study.generalise.road_drives import FEW, SMALL_BEST, drives_
 from training.dataset import joined
 from training.study.chapter import Claim
 from training.study.generalise import held_out, profiles
+from training.study.generalise.passages import Passages
 from training.study.generalise.rules import MEDIAN
 from training.study.recipes import PAPER_RECIPE
 from vehicle_client.simulator.plan import SensorGrade
@@ -88,12 +89,40 @@ def test_tables_are_whole(result):
     assert all(len(row) == len(table.columns) for table in result[0].tables for row in table.rows)
 
 
-@pytest.mark.parametrize(("worst", "word"), [(0.01, "less"), (9.0, "more")])
-def test_the_verdict_follows_the_figures(result, worst, word):
+def test_where_a_friction_is_named_all_rules_are_judged_on_the_same_batches(result):
+    figures = result[0].figures
+    for size in profiles.SIZES_COUNT:
+        named = {figures[f"best.named.{rule}.{size}.answered_frac"] for rule in profiles.NAMED}
+        assert len(named) == 1
+        assert 0.0 < named.pop() <= 1.0
+
+
+def test_bounds_are_counted_where_too_few_name_a_friction():
+    cell = profiles.Cell("bend", 0.5, np.arange(20))
+    for bound, held in ((0.4, 1.0), (0.7, 0.0)):
+        told = Passages(np.full(20, bound), np.full(20, 0.3), at_least=np.ones(20, dtype=np.bool_))
+        assert profiles.bounds_held_frac(told, (cell,), size_count=10, batches_count=4, seed=1) == held
+    sure = Passages(np.full(20, 0.45), np.full(20, 0.02), at_least=np.zeros(20, dtype=np.bool_))
+    assert np.isnan(profiles.bounds_held_frac(sure, (cell,), size_count=10, batches_count=4, seed=1))
+
+
+def test_the_verdict_follows_the_figures(result):
     found, told = result
     assert told.claim is Claim.NOT_CLAIMED
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(profiles, "CONFIGS", {"best": SMALL_BEST})
-        figures = {**found.figures, f"best.{profiles.CHOSEN}.50.worst_p95": worst}
-        text = profiles.CHAPTER.verdict({GRADE: replace(found, figures=figures)}).text
-    assert f"% {word} than with the median" in text
+    figures = {
+        **found.figures,
+        f"best.{profiles.CHOSEN}.50.worst_p95": 0.4321,
+        f"best.named.{profiles.BOUNDED}.50.worst_p95": 0.0765,
+    }
+    text = profiles.CHAPTER.verdict({GRADE: replace(found, figures=figures)}).text
+    assert "43.2 % (automotive) by the regressor's likelihoods" in text
+    assert "7.65 % (automotive) in the worst cell" in text
+
+
+def test_the_verdict_says_so_where_nothing_is_named(result):
+    name = f"best.named.{profiles.BOUNDED}.50"
+    nothing = {f"{name}.answered_frac": 0.0, f"{name}.mean": np.nan, f"{name}.worst_p95": np.nan}
+    figures = {**result[0].figures, **nothing, "best.bound.50.held_frac": np.nan}
+    text = profiles.CHAPTER.verdict({GRADE: replace(result[0], figures=figures)}).text
+    assert "names no friction." in text
+    assert "nan" not in text
