@@ -1,5 +1,6 @@
 """What the pages promise a reader: links that lead somewhere, and the default bundle's own figures."""
 
+import json
 import re
 import subprocess
 from fnmatch import fnmatchcase
@@ -8,6 +9,7 @@ from roadgrip.bundle import manifest_from_json
 from roadgrip.features import NEWEST_TABLE
 from training.bundle_card import CARD_NAME, card_of
 from training.marked_tables import marks_of, with_tables
+from training.report.study_page import CLAIMS_TABLES, HEADLINES_TABLE, study_tables
 
 LINK = re.compile(r"\]\((?!https?:|mailto:)([^)#\s]*)(?:#([^)\s]+))?\)")
 
@@ -55,6 +57,19 @@ def test_the_card_of_the_default_bundle_is_what_its_manifest_says(project_root):
     page = (project_root / "docs" / "laboratory.md").read_text(encoding="utf-8")
     assert marks_of(page[page.index("## The default bundle") :])[:1] == [CARD_NAME]
     assert with_tables(page, {CARD_NAME: card_of(manifest)}.get) == page, "make bundle, or roadgrip-train card --into"
+
+
+def test_the_page_of_the_study_tells_what_its_results_say(project_root):
+    page = (project_root / "docs" / "study.md").read_text(encoding="utf-8")
+    assert sorted(marks_of(page)) == sorted([HEADLINES_TABLE, *CLAIMS_TABLES.values()])
+    tables = study_tables(project_root / "docs" / "results" / "study", link="results/study")
+    assert with_tables(page, tables) == page, "roadgrip-train study page docs/study.md"
+
+
+def test_the_kept_study_is_the_whole_one_and_nothing_is_wrong_with_it(project_root):
+    summary = json.loads((project_root / "docs" / "results" / "study" / "summary.json").read_text(encoding="utf-8"))
+    assert not summary["quick"]
+    assert [summary[name] for name in ("missing", "contested", "unknown", "defects")] == [[], [], [], []]
 
 
 def test_every_feature_is_named_in_the_nomenclature_and_nothing_else_is(project_root):

@@ -20,6 +20,8 @@ MOST_DRAWN_POINTS_COUNT = 200
 """A cloud of more is an image inside the file, which is ten times smaller than as many circles."""
 _DOTS_PER_INCH = 130
 _MOST_UPRIGHT_LETTERS_COUNT = 60
+_MOST_LABELS_INSIDE_COUNT = 6
+"""More of them would hide what is drawn, so they go below it."""
 _STYLE = {
     "svg.fonttype": "none",
     "svg.hashsalt": "roadgrip",
@@ -55,7 +57,10 @@ def svg_of(picture: Picture) -> bytes:
                 _draw_bars(axes, picture)
                 _set_ordinate(axes, picture.y_axis)
                 axes.set_xlabel(picture.x_title)
-        if len(axes.get_legend_handles_labels()[1]) > 1:
+        labels_count = len(axes.get_legend_handles_labels()[1])
+        if labels_count > _MOST_LABELS_INSIDE_COUNT:
+            figure.legend(loc="outside lower center", ncols=2, frameon=False, fontsize=8.0)
+        elif labels_count > 1:
             axes.legend(frameon=False, fontsize=8.0)
         file = BytesIO()
         figure.savefig(file, format="svg", dpi=_DOTS_PER_INCH, metadata={"Date": None})
