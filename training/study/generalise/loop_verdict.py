@@ -17,6 +17,7 @@ from training.study.generalise.loop_cases import (
     MEDIAN,
     PAPER,
     PHASE_NAMES,
+    REFINED_CUT,
     SETTINGS,
     USUAL,
     WRONG_RATIOS,
@@ -39,14 +40,16 @@ LIED_TO = ((BEST, MEDIAN), (BEST, HELD), (BEST, HELD_CUT), (PAPER, MEDIAN))
 
 def verdict(results: Mapping[SensorGrade, Result]) -> Verdict:
     """Say who counts, what is found and advised, and whether a lie comes true."""
-    grade = leading_grade(results)
+    # A car on the road has no ideal sensors, and what is advised is for cars on the road.
+    grade = SensorGrade.AUTOMOTIVE if SensorGrade.AUTOMOTIVE in results else leading_grade(results)
     figures = results[grade].figures
     left = [
         _figure(figures, f"{Setting(BEST, HELD, share).name}.slippery.worst_left_road") for share in (0.0, 0.5, 1.0)
     ]
     text = (
         _counted_words(results, grade)
-        + _found_words(results, grade)
+        + _found_words(results)
+        + f"The following is told of {grade} sensors. "
         + _held_words(figures)
         + _lie_words(figures)
         + f"On slippery road {per_cent_words(left[0])} of the vehicles leave it where nobody obeys, "
@@ -89,28 +92,34 @@ def _least_counted(figures: Mapping[str, float], teaching: str) -> float:
     return min(known, default=np.nan)
 
 
-def _found_words(results: Mapping[SensorGrade, Result], grade: SensorGrade) -> str:
-    figures = results[grade].figures
+def _found_words(results: Mapping[SensorGrade, Result]) -> str:
     told = []
     for share in (0.5, 1.0):
         by_rule = [
             f"{', '.join(_bias_words(results[of].figures, Setting(BEST, rule, share), of) for of in results)}{how}"
-            for rule, how in ((HELD, ""), (HELD_CUT, " with windows cut at changes"))
+            for rule, how in ((HELD, " by the median"), (REFINED_CUT, " refined and cut at changes"))
+            if all(
+                f"{Setting(BEST, rule, share).name}.{PHASE_NAMES[0]}.worst_bias" in r.figures for r in results.values()
+            )
         ]
-        told.append(f"where {100.0 * share:.0f} % obey by {' and by '.join(by_rule)}")
-    late = ", ".join(_lag_words(figures, rule) for rule in (HELD, HELD_CUT))
-    blind = abs(_worst(figures, Setting(BEST, MEDIAN, 1.0), "worst_bias")) > KNOWN_WITHIN_FRAC
+        told.append(f"where {100.0 * share:.0f} % obey {'; '.join(by_rule)}")
+    late = ", ".join(_lag_words(results[of].figures, rule, of) for rule in (HELD, HELD_CUT) for of in results)
+    blind = [of for of in results if _is_blind(results[of].figures)]
     reason = (
         "Who obeys uses so little of the grip that he hardly feels how much there is: the better the advice is obeyed, "
-        "the less the unit knows. "
+        f"the less the unit knows ({', '.join(blind)}). "
         if blind
         else "Those who obey still use enough of the grip to know it. "
     )
     return (
         "Once settled, the middle of the interval is off at worst over phases and roads "
-        f"{'; '.join(told)}. With half of the drivers obeying, the drop to {FRICTIONS_MU[1]:g} is known after {late} "
-        f"({grade}). {reason}"
+        f"{'. And '.join(told)}. With half of the drivers obeying, the drop to {FRICTIONS_MU[1]:g} is known after "
+        f"{late}. {reason}"
     )
+
+
+def _is_blind(figures: Mapping[str, float]) -> bool:
+    return abs(_worst(figures, Setting(BEST, MEDIAN, 1.0), "worst_bias")) > KNOWN_WITHIN_FRAC
 
 
 def _held_words(figures: Mapping[str, float]) -> str:
@@ -144,9 +153,9 @@ def _bias_words(figures: Mapping[str, float], setting: Setting, grade: SensorGra
     return f"{100.0 * claimed:+.0f} % ({grade}{often})"
 
 
-def _lag_words(figures: Mapping[str, float], rule: str) -> str:
+def _lag_words(figures: Mapping[str, float], rule: str, grade: SensorGrade) -> str:
     lag_s = figures[f"{Setting(BEST, rule, 0.5).name}.slippery.worst_lag_s"]
-    return f"{lag_s / 60.0:.0f} min ({rule})" if np.isfinite(lag_s) else f"never ({rule})"
+    return f"{lag_s / 60.0:.0f} min ({rule}, {grade})" if np.isfinite(lag_s) else f"never ({rule}, {grade})"
 
 
 def _worst(figures: Mapping[str, float], setting: Setting, measure: str) -> float:

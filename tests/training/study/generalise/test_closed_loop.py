@@ -124,8 +124,8 @@ def test_the_verdict_says_when_units_are_blind(result):
     for bias, words in ((1.0, "the less the unit knows"), (0.01, "still use enough of the grip")):
         assert words in told(result, {f"{blind}.{phase}.worst_bias": bias for phase in PHASE_NAMES}).text
     late = Setting(BEST, HELD_CUT, 0.5).name
-    assert f"never ({HELD_CUT})" in told(result, {f"{late}.slippery.worst_lag_s": np.nan}).text
-    assert f"20 min ({HELD_CUT})" in told(result, {f"{late}.slippery.worst_lag_s": 1200.0}).text
+    assert f"never ({HELD_CUT}, {GRADE})" in told(result, {f"{late}.slippery.worst_lag_s": np.nan}).text
+    assert f"20 min ({HELD_CUT}, {GRADE})" in told(result, {f"{late}.slippery.worst_lag_s": 1200.0}).text
 
 
 def test_the_verdict_says_whether_advice_is_locked_in_and_whether_holding_it_helps(result):
