@@ -1,4 +1,4 @@
-"""Tables for a page that tells of the study, made from the small files that a repository keeps of it."""
+"""Headlines and claims for a page that tells of the study, made from the small files that a repository keeps of it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _CHAPTER_FILE_NAME = "chapter.json"
 
 
 def study_tables(results: Path, *, link: str) -> Callable[[str], str | None]:
-    """Return what gives a page its tables (`training.marked_tables.with_tables`).
+    """Return what a page has between its marks (`training.marked_tables.with_tables`).
 
     Args:
         results: The folder of all chapters.
@@ -37,27 +37,25 @@ def study_tables(results: Path, *, link: str) -> Callable[[str], str | None]:
     def table_named(name: str) -> str | None:
         if name == HEADLINES_TABLE:
             return headlines_table(summary) + "\n"
-        return _claims_table(results, parts[name], link=link) if name in parts else None
+        return _claims(results, parts[name], link=link) if name in parts else None
 
     return table_named
 
 
-def _claims_table(results: Path, part: Part, *, link: str) -> str:
+def _claims(results: Path, part: Part, *, link: str) -> str:
     """Return what became of the claims of a part, chapter by chapter, as Markdown."""
-    beside = part is Part.PAPER
-    lines = ["| question | the paper | found |", "|---|---|---|"] if beside else ["| question | found |", "|---|---|"]
+    told = []
     for name in CHAPTER_MODULES[part]:
         path = results / name / _CHAPTER_FILE_NAME
         if not path.is_file():
             continue
         chapter = json.loads(path.read_text(encoding="utf-8"))
-        cells = [f"[{chapter['title']}]({link}/{name}/{INDEX_FILE_NAME})"]
-        cells += [chapter["paper_says"] or "-"] if beside else []
-        found = chapter["verdict"] or "no verdict"
-        if chapter["claim"] is not None and beside:
-            claim = Claim(chapter["claim"])
-            found = f"**{CLAIM_MARKS[claim]} {claim.value}.** {found}"
-        lines.append(
-            f"| {' | '.join(' '.join(cell.split()).replace('|', chr(92) + '|') for cell in [*cells, found])} |"
-        )
-    return "\n".join(lines) + "\n"
+        told.append(f"### [{chapter['title']}]({link}/{name}/{INDEX_FILE_NAME})")
+        if part is Part.PAPER:
+            if chapter["paper_says"]:
+                told.append(f"> The paper: {' '.join(chapter['paper_says'].split())}")
+            if chapter["claim"] is not None:
+                claim = Claim(chapter["claim"])
+                told.append(f"**{CLAIM_MARKS[claim]} {claim.value}**")
+        told.append(" ".join((chapter["verdict"] or "No verdict.").split()))
+    return "\n\n".join(told) + "\n"

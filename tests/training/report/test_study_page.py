@@ -42,7 +42,7 @@ def test_a_page_gets_headlines_and_claims_with_links_to_the_chapters(results):
     page = with_tables(PAGE, study_tables(results, link="results/study"))
     assert "| unseen roads, MAPE, full coverage |" in page
     assert "](results/study/one/README.md)" in page
-    assert "partly confirmed.**" in page
+    assert "partly confirmed**" in page
     assert page.count("](results/study/two/README.md)") == 1
     assert "missing" not in page
     assert "\nkept\n" in page
