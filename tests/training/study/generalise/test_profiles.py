@@ -9,9 +9,11 @@ from roadgrip.features import NEWEST_TABLE, PROFILE_FLOOR
 from tests.training.study.desk import Desk
 from tests.training.study.generalise.road_drives import FEW, SMALL_BEST, drives_on_roads
 from training.dataset import joined
+from training.study.batches import Cell
 from training.study.chapter import Claim
 from training.study.generalise import held_out, profiles
 from training.study.generalise.passages import Passages
+from training.study.generalise.pooling import BOUNDED
 from training.study.generalise.rules import MEDIAN
 from training.study.recipes import PAPER_RECIPE
 from vehicle_client.simulator.plan import SensorGrade
@@ -98,7 +100,7 @@ def test_where_a_friction_is_named_all_rules_are_judged_on_the_same_batches(resu
 
 
 def test_bounds_are_counted_where_too_few_name_a_friction():
-    cell = profiles.Cell("bend", 0.5, np.arange(20))
+    cell = Cell("bend", 0.5, np.arange(20))
     for bound, held in ((0.4, 1.0), (0.7, 0.0)):
         told = Passages(np.full(20, bound), np.full(20, 0.3), at_least=np.ones(20, dtype=np.bool_))
         assert profiles.bounds_held_frac(told, (cell,), size_count=10, batches_count=4, seed=1) == held
@@ -112,7 +114,7 @@ def test_the_verdict_follows_the_figures(result):
     figures = {
         **found.figures,
         f"best.{profiles.CHOSEN}.50.worst_p95": 0.4321,
-        f"best.named.{profiles.BOUNDED}.50.worst_p95": 0.0765,
+        f"best.named.{BOUNDED}.50.worst_p95": 0.0765,
     }
     text = profiles.CHAPTER.verdict({GRADE: replace(found, figures=figures)}).text
     assert "43.2 % (automotive) by the regressor's likelihoods" in text
@@ -120,7 +122,7 @@ def test_the_verdict_follows_the_figures(result):
 
 
 def test_the_verdict_says_so_where_nothing_is_named(result):
-    name = f"best.named.{profiles.BOUNDED}.50"
+    name = f"best.named.{BOUNDED}.50"
     nothing = {f"{name}.answered_frac": 0.0, f"{name}.mean": np.nan, f"{name}.worst_p95": np.nan}
     figures = {**result[0].figures, **nothing, "best.bound.50.held_frac": np.nan}
     text = profiles.CHAPTER.verdict({GRADE: replace(result[0], figures=figures)}).text
