@@ -1,10 +1,12 @@
 """Pictures as SVG: all kinds, small, and the same every time."""
 
+from xml.etree import ElementTree as ET
+
 import pytest
 
 from tests.training.study.fake_chapters import fake_result
 from training.report.svg_picture import MOST_POINTS_COUNT, svg_of, thinned
-from training.study.picture import Axis, Bars, Cloud, Scatter
+from training.study.picture import Axis, Bars, Cloud, Line, Lines, Scatter
 
 PICTURES = {type(picture).__name__: picture for picture in fake_result().pictures}
 
@@ -33,3 +35,11 @@ def test_a_thinned_cloud_keeps_its_ends():
 
 def test_a_picture_of_nothing_is_drawn_nevertheless():
     assert svg_of(Bars("none", "bin", Axis("count"), (), ())).startswith(b"<?xml")
+
+
+@pytest.mark.parametrize(("lines_count", "inside"), [(6, True), (7, False)])
+def test_a_legend_of_many_lines_stands_outside_the_drawing(lines_count, inside):
+    lines = tuple(Line(f"line {i}", (0.0, 1.0), (float(i), 1.0)) for i in range(lines_count))
+    drawn = ET.fromstring(svg_of(Lines("many", Axis("x"), Axis("y"), lines)))  # noqa: S314 - our own file
+    groups = {group.get("id"): group for group in drawn.iter("{http://www.w3.org/2000/svg}g")}
+    assert (groups["legend_1"] in list(groups["axes_1"])) is inside
