@@ -1,9 +1,11 @@
-"""What a model bundle must say about itself.
+"""What a model bundle must say about itself; `roadgrip.bundle_json` writes it down.
 
 A bundle is a folder: `manifest.json`, model files, and nothing that is not named in the manifest with its SHA-256. It
 holds one friction model per feature table it serves, each perhaps with a second model that expects the first one's
-error. The manifest holds everything a road side unit needs to trust them before the first passage: the feature
-table of each, the envelope it was trained in, and golden vectors, rows with the answers it gave in the laboratory.
+error; beside these global models it may hold some for single sections, which take their place there. The manifest holds
+everything a road side unit needs to trust them before the first passage: the feature table of each, the envelope it was
+trained in, golden vectors, rows with the answers it gave in the laboratory, and how the features of its training were
+distributed, so that a unit can tell when its traffic is no longer like that.
 """
 
 from __future__ import annotations
@@ -12,15 +14,14 @@ import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from itertools import pairwise
 from math import exp, isfinite, isnan
-from typing import Any
 
 from roadgrip.envelope import DrivingEnvelope
 from roadgrip.errors import BundleError
 from roadgrip.features import table_of
 
 MANIFEST_NAME = "manifest.json"
-FORMAT_VERSION = 2
 GOLDEN_TOLERANCE_MU = 1e-5
 """How far a model may answer from its golden vectors on other hardware."""
 GOLDEN_TOLERANCE_RATIO = 1e-5
@@ -109,6 +110,23 @@ class Conformal:
 
 
 @dataclass(frozen=True, slots=True)
+class TrainingReference:
+    """How features and estimates were distributed in training: what a unit's traffic is held against.
+
+    Attributes:
+        section_id: The road of the drives it tells of; None for the drives on all roads.
+        rows_count: Drives it tells of.
+        quantiles: Of each feature in the order of the table, at evenly spaced levels from 0 to 1; never falling.
+        mu_quantiles: Of the estimates, at the same levels.
+    """
+
+    section_id: str | None
+    rows_count: int
+    quantiles: tuple[tuple[float, ...], ...]
+    mu_quantiles: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class ModelManifest:
     """What one model of a bundle says about itself.
 
@@ -122,6 +140,9 @@ class ModelManifest:
         golden: Rows with known answers.
         conformal: What the expected error means; None without a model for it.
         ordinary: Takes the place of the envelope where it was learned; None leaves it to the envelope.
+        section_id: The only section it is for; None for a global model.
+        references: How its training was distributed, over all roads and perhaps on single ones; none in bundles that
+            nobody watches.
     """
 
     table_digest: str
@@ -133,6 +154,14 @@ class ModelManifest:
     golden: GoldenVectors
     conformal: Conformal | None
     ordinary: OrdinaryDriving | None = None
+    section_id: str | None = None
+    references: tuple[TrainingReference, ...] = ()
+
+    def reference_for(self, section_id: str) -> TrainingReference | None:
+        """Return how the training on a road was distributed; failing that, over all roads; None without either."""
+        return next(
+            (known for wanted in (section_id, None) for known in self.references if known.section_id == wanted), None
+        )
 
     @property
     def files(self) -> tuple[str, ...]:
@@ -147,7 +176,8 @@ class BundleManifest:
     Attributes:
         name: Name of the bundle, such as "roadgrip-global".
         bundle_id: See `bundle_id_of`; names the bundle in every stored estimate.
-        models: One per feature table it serves, at least one; the order is the announced one.
+        models: One global one per feature table it serves, at least one; the order is the announced one. Besides, for
+            these tables, models for single sections.
         metrics: Figures of merit on data that was not used for training.
         provenance: How it was made: command, data-set digest, seed, versions of the tools.
         files_sha256: SHA-256 of every other file of the bundle.
@@ -162,55 +192,33 @@ class BundleManifest:
 
     @property
     def table_digests(self) -> tuple[str, ...]:
-        """The feature tables it serves."""
-        return tuple(model.table_digest for model in self.models)
+        """The feature tables it serves, on every section."""
+        return tuple(model.table_digest for model in self.models if model.section_id is None)
 
-    def model_for(self, table_digest: str) -> ModelManifest | None:
-        """Return what the model for a feature table says about itself; None without one."""
-        return next((model for model in self.models if model.table_digest == table_digest), None)
+    def model_for(self, table_digest: str, *, section_id: str | None = None) -> ModelManifest | None:
+        """Return what the model for a feature table says about itself; None without one.
+
+        Args:
+            table_digest: Of the summary's table.
+            section_id: Where it was driven; the section's own model comes first, then the global one.
+        """
+        fitting = [model for model in self.models if model.table_digest == table_digest]
+        return next((model for wanted in (section_id, None) for model in fitting if model.section_id == wanted), None)
 
 
 def bundle_id_of(models: Sequence[ModelManifest], files_sha256: Mapping[str, str]) -> str:
-    """Return the id of a bundle: 16 hexadecimal characters of a SHA-256 over its models' digests in order.
+    """Return the id of a bundle: 16 hexadecimal characters of a SHA-256 over all that decides its answers.
+
+    That is what the models say of themselves, envelopes and meaning of their errors included, and their files; not
+    how the bundle is called, how good it was found to be, or how it came about.
 
     Args:
         models: The bundle's models.
         files_sha256: SHA-256 of every file of the bundle; one that is missing counts as the empty text.
     """
-    digests = [files_sha256.get(name, "") for model in models for name in model.files]
-    return hashlib.sha256("\n".join(digests).encode()).hexdigest()[:16]
-
-
-def manifest_to_json(manifest: BundleManifest) -> str:
-    """Return the manifest as JSON text that `manifest_from_json` reads back to an equal record."""
-    return json.dumps({"format_version": FORMAT_VERSION, **asdict(manifest)}, indent=1, sort_keys=True) + "\n"
-
-
-def manifest_from_json(text: str) -> BundleManifest:
-    """Return the manifest that a JSON text holds.
-
-    Raises:
-        BundleError: The text is no manifest, or contradicts itself; the message says where.
-        FeatureTableError: A model was made for a feature table that this software does not speak.
-    """
-    try:
-        raw: dict[str, Any] = json.loads(text)
-        if raw["format_version"] != FORMAT_VERSION:
-            message = f"bundle format {raw['format_version']}, this software reads {FORMAT_VERSION}"
-            raise BundleError(message)
-        manifest = BundleManifest(
-            name=str(raw["name"]),
-            bundle_id=str(raw["bundle_id"]),
-            models=tuple(_model_from(model) for model in raw["models"]),
-            metrics={str(k): float(v) for k, v in raw["metrics"].items()},
-            provenance={str(k): str(v) for k, v in raw["provenance"].items()},
-            files_sha256={str(k): str(v) for k, v in raw["files_sha256"].items()},
-        )
-    except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
-        message = f"not a bundle manifest: {type(error).__name__} at {error}"
-        raise BundleError(message) from error
-    _check(manifest)
-    return manifest
+    said = [[asdict(model), [files_sha256.get(name, "") for name in model.files]] for model in models]
+    text = json.dumps(said, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 def check_files(manifest: BundleManifest, files: dict[str, bytes]) -> None:
@@ -228,67 +236,24 @@ def check_files(manifest: BundleManifest, files: dict[str, bytes]) -> None:
             raise BundleError(message)
 
 
-def _model_from(raw: dict[str, Any]) -> ModelManifest:
-    golden, conformal = raw["golden"], raw["conformal"]
-    errors, error_file = golden["expected_error_ratio"], raw["error_model_file"]
-    return ModelManifest(
-        table_digest=str(raw["table_digest"]),
-        feature_names=tuple(str(n) for n in raw["feature_names"]),
-        model_file=str(raw["model_file"]),
-        error_model_file=None if error_file is None else str(error_file),
-        mu_range=(float(raw["mu_range"][0]), float(raw["mu_range"][1])),
-        envelope=_box_from(raw["envelope"]),
-        golden=GoldenVectors(
-            rows=tuple(tuple(float(v) for v in row) for row in golden["rows"]),
-            mu=tuple(float(v) for v in golden["mu"]),
-            expected_error_ratio=None if errors is None else tuple(float(v) for v in errors),
-        ),
-        conformal=None
-        if conformal is None
-        else Conformal(
-            coverage_frac=float(conformal["coverage_frac"]),
-            quantile=float(conformal["quantile"]),
-            doubtful_above_ratio=float(conformal["doubtful_above_ratio"]),
-        ),
-        ordinary=None if raw["ordinary"] is None else _ordinary_from(raw["ordinary"]),
-    )
+def check_manifest(manifest: BundleManifest) -> None:
+    """Do nothing if a manifest does not contradict itself.
 
-
-def _box_from(raw: dict[str, Any]) -> Envelope:
-    return Envelope(
-        lower=_floats(raw["lower"]),
-        upper=_floats(raw["upper"]),
-        outside_allowed_count=int(raw["outside_allowed_count"]),
-    )
-
-
-def _ordinary_from(raw: dict[str, Any]) -> OrdinaryDriving:
-    driving = raw["driving"]
-    return OrdinaryDriving(
-        road_columns=tuple(str(name) for name in raw["road_columns"]),
-        road=_box_from(raw["road"]),
-        driving=DrivingEnvelope(
-            columns=tuple(str(name) for name in driving["columns"]),
-            lower=_floats(driving["lower"]),
-            upper=_floats(driving["upper"]),
-            cut_ratio=float(driving["cut_ratio"]),
-            share_frac=_floats(driving["share_frac"]),
-            middle_ratio=tuple(_floats(kind) for kind in driving["middle_ratio"]),
-            whitening_ratio=tuple(tuple(_floats(row) for row in kind) for kind in driving["whitening_ratio"]),
-            limit_level=float(driving["limit_level"]),
-        ),
-    )
-
-
-def _floats(raw: Sequence[Any]) -> tuple[float, ...]:
-    return tuple(float(value) for value in raw)
-
-
-def _check(manifest: BundleManifest) -> None:
+    Raises:
+        BundleError: It does; the message says where.
+        FeatureTableError: A model was made for a feature table that this software does not speak.
+    """
     files = [name for model in manifest.models for name in model.files]
     problems = {
         "it holds no model": not manifest.models,
-        "two models serve one feature table": len(set(manifest.table_digests)) != len(manifest.models),
+        "two models serve one feature table on one section": len(
+            {(m.table_digest, m.section_id) for m in manifest.models}
+        )
+        != len(manifest.models),
+        "a section's model serves a feature table that no global model serves": not {
+            m.table_digest for m in manifest.models
+        }
+        <= set(manifest.table_digests),
         "a model file has no digest": not set(files) <= set(manifest.files_sha256),
         "two models share a file": len(set(files)) != len(files),
         "the bundle id is not its models'": manifest.bundle_id != bundle_id_of(manifest.models, manifest.files_sha256),
@@ -314,6 +279,9 @@ def _check_model(manifest: BundleManifest, model: ModelManifest) -> None:
         "an expected error needs its model, golden answers and meaning": (errors is None, conformal is None)
         != (not has_error_model, not has_error_model),
         "the expected error means nothing": conformal is not None and not _means_something(conformal),
+        "a training reference does not fit the table": not all(_refers(known, width) for known in model.references),
+        "two training references tell of one road": len({known.section_id for known in model.references})
+        != len(model.references),
     }
     _refuse(manifest, problems)
 
@@ -322,6 +290,18 @@ def _fits(ordinary: OrdinaryDriving, feature_names: tuple[str, ...]) -> bool:
     widths = {len(ordinary.road.lower), len(ordinary.road.upper)}
     known = {*ordinary.road_columns, *ordinary.driving.columns} <= set(feature_names)
     return known and widths == {len(ordinary.road_columns)} and not isnan(ordinary.driving.limit_level)
+
+
+def _refers(reference: TrainingReference, width: int) -> bool:
+    rows = (*reference.quantiles, reference.mu_quantiles)
+    levels_count = len(reference.mu_quantiles)
+    return (
+        len(reference.quantiles) == width
+        and reference.rows_count > 0
+        and levels_count >= 2
+        and all(len(row) == levels_count and all(map(isfinite, row)) for row in rows)
+        and all(low <= high for row in rows for low, high in pairwise(row))
+    )
 
 
 def _means_something(conformal: Conformal) -> bool:

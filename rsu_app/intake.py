@@ -103,11 +103,11 @@ class TimedModel:
         """What the bundle says about itself."""
         return self._model.manifest
 
-    def estimate(self, table_digest: str, rows: FloatArray) -> Estimates:
+    def estimate(self, table_digest: str, rows: FloatArray, *, section_id: str | None = None) -> Estimates:
         """Return the friction estimate of each row, see `rsu_app.ports.FrictionModel`."""
         started_s = time.perf_counter()
         try:
-            return self._model.estimate(table_digest, rows)
+            return self._model.estimate(table_digest, rows, section_id=section_id)
         finally:
             self._observe(time.perf_counter() - started_s)
 

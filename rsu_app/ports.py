@@ -50,12 +50,13 @@ class FrictionModel(Protocol):
         """What the bundle says about itself."""
         ...
 
-    def estimate(self, table_digest: str, rows: FloatArray) -> Estimates:
+    def estimate(self, table_digest: str, rows: FloatArray, *, section_id: str | None = None) -> Estimates:
         """Return the friction estimate of each row, and its expected error.
 
         Args:
             table_digest: One of the feature tables the bundle serves.
             rows: Features in the order of that table. (n, columns)
+            section_id: Where they were driven: the section's own model answers if the bundle has one, else the global.
 
         Raises:
             BundleError: The bundle has no model for this table, or it does not answer.

@@ -17,8 +17,8 @@ from roadgrip.bundle import (
     ModelManifest,
     OrdinaryDriving,
     bundle_id_of,
-    manifest_to_json,
 )
+from roadgrip.bundle_json import manifest_to_json
 from roadgrip.envelope import DrivingEnvelope
 from roadgrip.features import NEWEST_TABLE, FeatureTable
 from roadgrip.units import FloatArray

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,10 +18,10 @@ from roadgrip.bundle import (
     GoldenVectors,
     ModelManifest,
     OrdinaryDriving,
+    TrainingReference,
     bundle_id_of,
-    manifest_from_json,
-    manifest_to_json,
 )
+from roadgrip.bundle_json import manifest_from_json, manifest_to_json
 from roadgrip.errors import BundleError
 from roadgrip.features import FeatureTable
 from roadgrip.units import FloatArray
@@ -78,6 +78,8 @@ class TableModel:
         error_column_names: The same for `error`.
         ordinary: Roads and driving it is made for (`training.study.envelopes`); without, the box of the training rows
             decides what is counted.
+        section_id: The only section it is for; None for a global model.
+        references: How its training was distributed (`training.reference`); a unit watches its traffic by them.
     """
 
     table: FeatureTable
@@ -90,6 +92,8 @@ class TableModel:
     column_names: tuple[str, ...] | None = None
     error_column_names: tuple[str, ...] | None = None
     ordinary: OrdinaryDriving | None = None
+    section_id: str | None = None
+    references: tuple[TrainingReference, ...] = ()
 
 
 def write_bundle(
@@ -143,7 +147,8 @@ def write_models(
     """Export the trees, hold them against the originals, and write a bundle that a road side unit can load.
 
     Args:
-        models: One per feature table, the newest first: vehicles are offered the tables in this order.
+        models: A global one per feature table, the newest first: vehicles are offered the tables in this order. Then
+            those for single sections.
         folder: Where the bundle goes; made if missing, files of the same names replaced.
         name: Name of the bundle.
         metrics: Figures of merit on data that was not used for training.
@@ -183,6 +188,13 @@ def write_models(
     return written
 
 
+def _in_short_numbers(ordinary: OrdinaryDriving) -> OrdinaryDriving:
+    """Return the same with whitening matrices of 32-bit numbers, as a manifest packs them."""
+    matrices = np.asarray(ordinary.driving.whitening_ratio).astype(np.float32).astype(np.float64)
+    packed = tuple(tuple(tuple(row) for row in kind) for kind in matrices.tolist())
+    return replace(ordinary, driving=replace(ordinary.driving, whitening_ratio=packed))
+
+
 def _golden_rows(model: TableModel, *, rng: np.random.Generator) -> FloatArray:
     """Return rows that the models never saw, as the 32-bit numbers a unit gives to them."""
     low, high = model.table.minimum.astype(np.float32), model.table.maximum.astype(np.float32)
@@ -200,7 +212,7 @@ def _exported(
     model: TableModel, *, rng: np.random.Generator
 ) -> tuple[dict[str, bytes], ModelManifest, dict[str, float]]:
     """Return a model's files, what its manifest says, and how far the exports are from their trees."""
-    version = f"v{model.table.version}"
+    version = f"v{model.table.version}" + ("" if model.section_id is None else f"-{model.section_id}")
     friction_file, error_file = f"friction-{version}.onnx", f"error-{version}.onnx"
     rows = parity_rows(model.train_rows, rng=rng, table=model.table)
     golden_rows = _golden_rows(model, rng=rng)
@@ -230,6 +242,8 @@ def _exported(
             expected_error_ratio=errors,
         ),
         conformal=model.conformal,
-        ordinary=model.ordinary,
+        ordinary=None if model.ordinary is None else _in_short_numbers(model.ordinary),
+        section_id=model.section_id,
+        references=model.references,
     )
     return files, manifest, differences

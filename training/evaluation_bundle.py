@@ -15,8 +15,8 @@ from roadgrip.bundle import (
     BundleManifest,
     ModelManifest,
     check_files,
-    manifest_from_json,
 )
+from roadgrip.bundle_json import manifest_from_json
 from roadgrip.errors import BundleError, ConfigurationError
 from roadgrip.features import TABLES, FeatureTable, road_features, summary_among
 from roadgrip.reasons import Reason
@@ -87,8 +87,9 @@ def judge_of(bundle: Bundle) -> Judge:
         for model in bundle.manifest.models:
             places = [
                 i
-                for i, (summary, _) in enumerate(offered)
-                if answers[i] is _UNASKED and summary is not None and summary.table_digest == model.table_digest
+                for i, (summary, section) in enumerate(offered)
+                if summary is not None
+                and bundle.manifest.model_for(summary.table_digest, section_id=section.section_id) is model
             ]
             table = TABLES[model.table_digest]
             roads = {section: _road_row(section, table) for section in {offered[i][1] for i in places}}

@@ -62,7 +62,9 @@ def _check_golden(model: FrictionModel, manifest: ModelManifest) -> None:
     if not golden.rows:
         raise BundleError(f"{subject} has no golden vectors; nobody can say what its model should answer")
     try:
-        answers = model.estimate(manifest.table_digest, np.asarray(golden.rows, dtype=np.float64))
+        answers = model.estimate(
+            manifest.table_digest, np.asarray(golden.rows, dtype=np.float64), section_id=manifest.section_id
+        )
     except ValueError as error:
         raise BundleError(f"{subject} has golden vectors that cannot be: {error}") from error
     known = (

@@ -180,6 +180,8 @@ _PROFILE_PLACES = {
 def judged_passage(passage: Passage, state: SectionState, model: FrictionModel) -> Judgement:
     """Return what the bundle's model for the summary's own feature table says; never that for another one.
 
+    A model of the bundle for this very section comes before the global one.
+
     Args:
         passage: One that can have happened.
         state: Of the section it names.
@@ -188,12 +190,12 @@ def judged_passage(passage: Passage, state: SectionState, model: FrictionModel) 
     Raises:
         BundleError: There is no model for that table, or it does not answer.
     """
-    digest = passage.summary.table_digest
-    manifest = model.manifest.model_for(digest)
+    digest, section_id = passage.summary.table_digest, passage.section_id
+    manifest = model.manifest.model_for(digest, section_id=section_id)
     if manifest is None:
         raise BundleError(f"bundle {model.manifest.bundle_id} has no model for feature table {digest}")
     row = np.concatenate([summary_values(passage.summary).astype(np.float64), state.road_rows[digest]])
-    answer = model.estimate(digest, row[None, :])
+    answer = model.estimate(digest, row[None, :], section_id=section_id)
     errors = answer.expected_error_ratio
     return judgement(
         row,

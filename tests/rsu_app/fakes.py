@@ -53,12 +53,12 @@ class FakeModel:
     def manifest(self) -> BundleManifest:
         return self._manifest
 
-    def estimate(self, table_digest: str, rows: FloatArray) -> Estimates:
+    def estimate(self, table_digest: str, rows: FloatArray, *, section_id: str | None = None) -> Estimates:
         if self.error is not None:
             raise self.error
         table = TABLES[table_digest]
         mu = linear_mu(rows, table=table) if self.answer_mu is None else np.full(len(rows), self.answer_mu)
-        model = self._manifest.model_for(table_digest)
+        model = self._manifest.model_for(table_digest, section_id=section_id)
         assert model is not None
         if model.conformal is None:
             return Estimates(mu, None)
@@ -72,8 +72,8 @@ class WaveringModel(FakeModel):
         super().__init__(make_manifest(model=b"a fake has no file", conformal=CONFORMAL))
         self.wavers = False
 
-    def estimate(self, table_digest: str, rows: FloatArray) -> Estimates:
-        answer = super().estimate(table_digest, rows)
+    def estimate(self, table_digest: str, rows: FloatArray, *, section_id: str | None = None) -> Estimates:
+        answer = super().estimate(table_digest, rows, section_id=section_id)
         return replace(answer, expected_error_ratio=np.full(len(rows), 0.5)) if self.wavers else answer
 
 

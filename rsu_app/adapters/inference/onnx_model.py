@@ -13,7 +13,8 @@ import numpy as np
 import onnxruntime
 from numpy.typing import NDArray
 
-from roadgrip.bundle import MANIFEST_NAME, BundleManifest, ModelManifest, check_files, manifest_from_json
+from roadgrip.bundle import MANIFEST_NAME, BundleManifest, ModelManifest, check_files
+from roadgrip.bundle_json import manifest_from_json
 from roadgrip.errors import BundleError
 from roadgrip.features import table_of
 from roadgrip.units import FloatArray
@@ -37,26 +38,30 @@ class OnnxFrictionModel:
 
     def __init__(self, manifest: BundleManifest, files: Mapping[str, bytes]) -> None:
         self._manifest = manifest
-        self._served = {model.table_digest: _TableModel(manifest.bundle_id, model, files) for model in manifest.models}
+        self._served = {
+            (model.table_digest, model.section_id): _TableModel(manifest.bundle_id, model, files)
+            for model in manifest.models
+        }
 
     @property
     def manifest(self) -> BundleManifest:
         """What the bundle says about itself."""
         return self._manifest
 
-    def estimate(self, table_digest: str, rows: FloatArray) -> Estimates:
+    def estimate(self, table_digest: str, rows: FloatArray, *, section_id: str | None = None) -> Estimates:
         """Return the friction estimate of each row, and its expected error if the bundle has a model for it.
 
         Args:
             table_digest: One of the feature tables the bundle serves.
             rows: Features in the order of that table. (n, columns)
+            section_id: Where they were driven; None asks the global model.
 
         Raises:
             BundleError: No model for this table, or it does not answer one number per row.
             ValueError: A row holds a value outside its feature's range; the model would answer with a plausible
                 number even to infinity.
         """
-        served = self._served.get(table_digest)
+        served = self._served.get((table_digest, section_id)) or self._served.get((table_digest, None))
         if served is None:
             raise BundleError(f"bundle {self._manifest.bundle_id} has no model for feature table {table_digest}")
         return served.estimate(rows)

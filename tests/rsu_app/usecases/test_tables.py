@@ -25,7 +25,7 @@ class ErrorModel(FakeModel):
         super().__init__(make_manifest(model=b"a fake", conformal=CONFORMAL))
         self.answer_error_ratio = None
 
-    def estimate(self, table_digest, rows):
+    def estimate(self, table_digest, rows, *, section_id=None):
         answers = super().estimate(table_digest, rows)
         if self.answer_error_ratio is None:
             return answers

@@ -9,7 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from roadgrip.bundle import MANIFEST_NAME, GoldenVectors, manifest_to_json
+from roadgrip.bundle import MANIFEST_NAME, GoldenVectors, bundle_id_of
+from roadgrip.bundle_json import manifest_from_json, manifest_to_json
 from roadgrip.errors import BundleError, FeatureTableError
 from roadgrip.features import NEWEST_TABLE, PAPER_TABLE
 from rsu_app.adapters.inference import OnnxFrictionModel, load_bundle
@@ -78,9 +79,9 @@ def test_a_hidden_file_beside_the_bundle_does_no_harm(bundle):
 
 def rewrite(bundle, **changes):
     manifest = make_manifest()
-    (bundle / MANIFEST_NAME).write_text(
-        manifest_to_json(replace(manifest, models=(replace(manifest.models[0], **changes),)))
-    )
+    models = (replace(manifest.models[0], **changes),)
+    named = replace(manifest, models=models, bundle_id=bundle_id_of(models, manifest.files_sha256))
+    (bundle / MANIFEST_NAME).write_text(manifest_to_json(named))
 
 
 def test_a_model_changed_by_one_bit_is_refused(bundle):
@@ -128,9 +129,7 @@ def test_a_manifest_that_is_none_is_refused(bundle, content):
 
 
 def test_a_bundle_for_another_feature_table_is_refused_with_both_digests(bundle):
-    raw = json.loads((bundle / MANIFEST_NAME).read_text())
-    raw["models"][0]["table_digest"] = "0" * 16
-    (bundle / MANIFEST_NAME).write_text(json.dumps(raw))
+    rewrite(bundle, table_digest="0" * 16)
     with pytest.raises(FeatureTableError, match="0000000000000000"):
         load_bundle(bundle)
 
@@ -199,8 +198,12 @@ def test_a_bundle_without_a_model_for_the_error_says_nothing_of_it(model):
 
 def test_an_error_model_that_answers_otherwise_than_in_the_laboratory_is_refused(tmp_path):
     make_bundle_of_tables(tmp_path, (NEWEST_TABLE,), biases_mu=(0.5,))
-    raw = json.loads((tmp_path / MANIFEST_NAME).read_text())
-    raw["models"][0]["golden"]["expected_error_ratio"][0] += 2e-5
-    (tmp_path / MANIFEST_NAME).write_text(json.dumps(raw))
+    manifest = manifest_from_json((tmp_path / MANIFEST_NAME).read_text())
+    golden = manifest.models[0].golden
+    assert golden.expected_error_ratio
+    first, *others = golden.expected_error_ratio
+    models = (replace(manifest.models[0], golden=replace(golden, expected_error_ratio=(first + 2e-5, *others))),)
+    wrong = replace(manifest, models=models, bundle_id=bundle_id_of(models, manifest.files_sha256))
+    (tmp_path / MANIFEST_NAME).write_text(manifest_to_json(wrong))
     with pytest.raises(BundleError, match="golden vectors of expected error"):
         load_bundle(tmp_path)
