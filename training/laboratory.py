@@ -1,7 +1,7 @@
 """The folder of a laboratory: data sets, records of experiments, the ledger, and the repository that units read.
 
 lab/
-  data/         data sets by their digests (`training.data_shelf`)
+  data/         data sets by their digests (`training.data.data_shelf`)
   mlflow.db     records of experiments and the register of models, with files in mlflow-files/
   bundles/      bundles that were fetched from the register, by their ids
   verdicts/     what the gate said, by the digest of the verdict
