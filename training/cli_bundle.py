@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import json
 import platform
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import partial
 from importlib.metadata import version
 from importlib.resources import files
 from pathlib import Path
@@ -14,9 +13,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import typer
-from rich.progress import Progress, TaskID
+from rich.progress import Progress
 
-from roadgrip.bundle import MANIFEST_NAME, BundleManifest, manifest_from_json
+from roadgrip.bundle import MANIFEST_NAME
+from roadgrip.bundle_json import manifest_from_json
 from roadgrip.errors import BundleError
 from training.accuracy import FEWEST_ROADS
 from training.bundle_card import CARD_NAME, card_of
@@ -43,7 +43,7 @@ from vehicle_client.simulator.plan import SensorGrade
 
 # Trees and mixtures take seconds to import: they are where they are needed.
 if TYPE_CHECKING:
-    from training.table_models import GrownModel, LearnedDrives, TablePlan
+    from training.bundle_making import Show
 
 BUNDLE_NAME = "roadgrip-global"
 DEFAULT_BUNDLE_FOLDER = Path(str(files("rsu_app") / "default_bundle"))
@@ -97,6 +97,7 @@ def default_bundle(
     friction among them, automotive sensors. A model for each feature table, each with the error to expect of it. Other
     random roads only judge.
     """
+    from training.bundle_making import failed_words, made_bundle
     from training.table_models import best_plan, learned_drives, paper_plan
 
     command = f"roadgrip-train default-bundle --runs {runs} --random-roads {random_roads} --seed {seed}"
@@ -123,26 +124,31 @@ def default_bundle(
         )
         for name, (grade, schooled) in FRESH_CARS.items()
     }
-    learned = learned_drives(driven, seed=FitParameters().seed)
-    plans = (best_plan(seed=FitParameters().seed), paper_plan(FitParameters()))
-    manifest = _made(
-        learned,
-        plans,
-        {name: some.rows(np.flatnonzero(some.usable)) for name, some in fresh.items()},
-        out,
-        provenance={
-            "command": command,
-            "intended_use": _INTENDED_USE,
-            "limits": _LIMITS,
-            "learned_from": _learned_from(driven, size, exact_count=len(exact)),
-            "failed": _failed(driven),
-            "judged_on": (
-                "drives on the three roads by regressors that had not seen the drive, on random roads by such that had "
-                f"not seen the road; {fresh_size.random_roads_count} fresh roads by the finished models"
-            ),
-            "dataset_digest": driven.digest(),
-        },
-    )
+    judging = {f"fresh_roads_{name}": some.rows(np.flatnonzero(some.usable)) for name, some in fresh.items()}
+    with progress_bar() as bar:
+        manifest = made_bundle(
+            learned_drives(driven, seed=FitParameters().seed),
+            (best_plan(seed=FitParameters().seed), paper_plan(FitParameters())),
+            out,
+            name=BUNDLE_NAME,
+            fresh=judging,
+            unseen=judging["fresh_roads_automotive"],
+            provenance={
+                "command": command,
+                "intended_use": _INTENDED_USE,
+                "limits": _LIMITS,
+                "learned_from": _learned_from(driven, size, exact_count=len(exact)),
+                "failed": failed_words(driven),
+                "judged_on": (
+                    "drives on the three roads by regressors that had not seen the drive, on random roads by such that "
+                    f"had not seen the road; {fresh_size.random_roads_count} fresh roads by the finished models"
+                ),
+                "dataset_digest": driven.digest(),
+                **tools_provenance(),
+            },
+            with_references=True,
+            show=shown_on(bar),
+        ).manifest
     if as_json:
         typer.echo(json.dumps({"bundle_id": manifest.bundle_id, "folder": str(out), "metrics": manifest.metrics}))
         return
@@ -174,67 +180,19 @@ def card(
     into.write_text(with_tables(page, {CARD_NAME: text}.get), encoding="utf-8")
 
 
+def shown_on(bar: Progress) -> Show:
+    """Return what shows each stage of the making of a bundle as a bar."""
+
+    def begin(title: str, steps_count: int) -> Callable[[int], None]:
+        task = bar.add_task(title, total=steps_count, rate="")
+        return lambda done: bar.update(task, completed=done)
+
+    return begin
+
+
 def tools_provenance() -> dict[str, str]:
     """Return what a bundle was made with."""
     return {"python": platform.python_version(), **{f"version.{tool}": _version_of(tool) for tool in _TOOLS}}
-
-
-def _made(
-    learned: LearnedDrives,
-    plans: tuple[TablePlan, ...],
-    fresh: Mapping[str, Runs],
-    out: Path,
-    *,
-    provenance: dict[str, str],
-) -> BundleManifest:
-    """Return the manifest of the bundle that was grown, judged and written, behind progress bars."""
-    from training.bundling import write_models
-    from training.table_figures import figures_of, fresh_figures, parts_of, strange_figures
-    from training.table_models import grown_model, ordinary_driving, steps_count
-
-    seed = plans[0].parameters.seed
-    metrics: dict[str, float] = {}
-    with progress_bar() as bar:
-        models: list[GrownModel] = []
-        for plan in plans:
-            title = f"growing trees of {len(plan.features)} features on {len(learned.runs)} drives, {plan.version}"
-            task = bar.add_task(title, total=steps_count(), rate="")
-            models.append(grown_model(learned, plan, on_step=partial(_show, bar, task)))
-        task = bar.add_task("learning what is ordinary", total=1 + len(plans), rate="")
-        judging = ordinary_driving(learned, table=plans[0].table, seed=seed, without_fold=0)
-        bar.advance(task)
-        ordinary = []
-        for plan in plans:
-            ordinary.append(ordinary_driving(learned, table=plan.table, seed=seed))
-            bar.advance(task)
-        task = bar.add_task("judging and exporting", total=None, rate="")
-        parts = parts_of(learned.runs, known=learned.known)
-        metrics |= strange_figures(judging, learned.runs, parts, among=learned.fold == 0)
-        for name, some in fresh.items():
-            part = f"fresh_roads_{name}"
-            everything = np.ones(len(some), dtype=np.bool_)
-            metrics |= strange_figures(ordinary[0], some, {part: everything}, among=everything)
-            for model in models:
-                metrics |= fresh_figures(model, some, part=part)
-        for model in models:
-            metrics |= figures_of(model, learned)
-        written = write_models(
-            [
-                model.for_bundle(learned.runs, unseen=fresh["automotive"], ordinary=known)
-                for model, known in zip(models, ordinary, strict=True)
-            ],
-            out,
-            name=BUNDLE_NAME,
-            metrics=metrics,
-            provenance={
-                **provenance,
-                **{f"fit.{plan.version}": str(plan.parameters) for plan in plans},
-                **tools_provenance(),
-            },
-            rng=np.random.default_rng(seed),
-        )
-        bar.update(task, total=1, completed=1)
-    return written
 
 
 def _exact_design(seed: int, size: Size) -> Design:
@@ -257,10 +215,6 @@ def _garage(size: Size, *, schooled: bool) -> Garage:
     return Garage(groups_count, groups_count if schooled else 0)
 
 
-def _show(bar: Progress, task: TaskID, done: int) -> None:
-    bar.update(task, completed=done)
-
-
 def _learned_from(driven: Runs, size: Size, *, exact_count: int) -> str:
     quarter_count, few_count = -(-size.runs_count // 4), -(-size.random_runs_count // 4)
     return (
@@ -271,12 +225,6 @@ def _learned_from(driven: Runs, size: Size, *, exact_count: int) -> str:
         "get wrong, maps as surveyed, prudent drivers, tyre wear 0.8 to 1; of all drives "
         f"{exact_count} have exact sensors and maps"
     )
-
-
-def _failed(driven: Runs) -> str:
-    failed = sorted(set(driven.outcome) - {"completed"})
-    counts = ", ".join(f"{driven.outcome.count(name)} {name.replace('_', ' ')}" for name in failed)
-    return f"{int((~driven.usable).sum())} drives, from which nothing is learned" + (f": {counts}" if counts else "")
 
 
 def _version_of(distribution: str) -> str:

@@ -25,27 +25,69 @@ from training.table_models import (
     calibrated,
 )
 
+OWN_ROADS = "own_roads"
+"""The part of the drives on a road authority's own roads."""
 FRICTION_BANDS_MU = tuple(pairwise((0.0, *FRICTION_EDGES_MU, 1.0)))
 
 
 def figures_of(model: GrownModel, drives: LearnedDrives) -> dict[str, float]:
     """Return figures of a model by strangers' estimates of the drives it learned from, named `figure.part.version`."""
+    parts = parts_of(drives.runs, known=drives.known) | own_parts_of(drives) | dict(drives.marks)
+    figures = stranger_figures(model, drives, parts)
+    random = ~drives.known
+    _, road = np.unique(np.array(drives.runs.section_id)[random], return_inverse=True)
+    error = np.abs(model.strangers.mu / drives.label_mu - 1.0)
+    by_road = np.bincount(road, weights=error[random]) / np.bincount(road)
+    return figures | {f"mape_ratio.mean_unseen_road.{model.plan.version}": float(by_road.mean())}
+
+
+def stranger_figures(
+    model: GrownModel,
+    drives: LearnedDrives,
+    parts: Mapping[str, BoolArray],
+    *,
+    doubtful_above_ratio: float | None = None,
+) -> dict[str, float]:
+    """Return figures by strangers' estimates of some parts of the drives, named `figure.part.version`.
+
+    Args:
+        model: The model.
+        drives: What it learned from.
+        parts: Which belong to each part. Each (n,)
+        doubtful_above_ratio: See `calibrated`.
+    """
     held = np.zeros(len(drives.runs), dtype=np.bool_)
     for number in range(FOLDS_COUNT):
         # The interval of a fold has the width that the other folds' random roads ask for.
         out = drives.fold == number
-        meaning = calibrated(model.strangers, drives.runs.labels, rows=~out & ~drives.known)
+        meaning = calibrated(
+            model.strangers,
+            drives.runs.labels,
+            rows=~out & drives.calibrating,
+            doubtful_above_ratio=doubtful_above_ratio,
+        )
         held[out] = holds(model.strangers, drives.label_mu, meaning)[out]
     figures: dict[str, float] = {}
     error = np.abs(model.strangers.mu / drives.label_mu - 1.0)
     doubtful = _doubtful(model, model.strangers)
-    for part, rows in parts_of(drives.runs, known=drives.known).items():
+    for part, rows in parts.items():
         found = _figures(error[rows], doubtful=doubtful[rows], held=held[rows])
         figures |= _named(found, part, model)
-    random = ~drives.known
-    _, road = np.unique(np.array(drives.runs.section_id)[random], return_inverse=True)
-    by_road = np.bincount(road, weights=error[random]) / np.bincount(road)
-    return figures | {f"mape_ratio.mean_unseen_road.{model.plan.version}": float(by_road.mean())}
+    return figures
+
+
+def answer_figures(model: GrownModel, answers: Answers, label_mu: FloatArray, *, part: str) -> dict[str, float]:
+    """Return figures of answers to drives that nothing was learned from, named `figure.part.version`.
+
+    Args:
+        model: Says what its expected errors mean.
+        answers: What is judged. (n,)
+        label_mu: The truth. (n,)
+        part: What the drives are called, such as "fresh_roads_ideal".
+    """
+    error = np.abs(answers.mu / label_mu - 1.0)
+    held = holds(answers, label_mu, model.conformal)
+    return _named(_figures(error, doubtful=_doubtful(model, answers), held=held), part, model)
 
 
 def fresh_figures(model: GrownModel, runs: Runs, *, part: str) -> dict[str, float]:
@@ -56,10 +98,7 @@ def fresh_figures(model: GrownModel, runs: Runs, *, part: str) -> dict[str, floa
         runs: The drives.
         part: What they are called, such as "fresh_roads_ideal".
     """
-    answers, label_mu = model.answers(runs), runs.labels["label_mu"]
-    error = np.abs(answers.mu / label_mu - 1.0)
-    held = holds(answers, label_mu, model.conformal)
-    return _named(_figures(error, doubtful=_doubtful(model, answers), held=held), part, model)
+    return answer_figures(model, model.answers(runs), runs.labels["label_mu"], part=part)
 
 
 def strange_figures(
@@ -110,6 +149,15 @@ def parts_of(runs: Runs, *, known: BoolArray) -> dict[str, BoolArray]:
     for low, high in FRICTION_BANDS_MU:
         parts[f"unseen_roads.{band_key(low, high)}"] = unseen & (label_mu >= low) & (label_mu < high)
     return parts | {"exact_sensors": ~known & exact}
+
+
+def own_parts_of(drives: LearnedDrives) -> dict[str, BoolArray]:
+    """Return which drives are of one's own roads, all of them and road by road; nothing without any. Each (n,)"""
+    if drives.own is None or not drives.own.any():
+        return {}
+    sections = np.array(drives.runs.section_id)
+    roads = sorted(set(sections[drives.own].tolist()))
+    return {OWN_ROADS: drives.own} | {f"{OWN_ROADS}.{name}": drives.own & (sections == name) for name in roads}
 
 
 def band_key(low_mu: float, high_mu: float) -> str:

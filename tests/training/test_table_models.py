@@ -16,6 +16,7 @@ from tests.training.many_roads import runs_of_many_roads
 from tests.training.runs import made_up_runs, shuffled
 from training.bundling import write_models
 from training.dataset import DatasetError, joined
+from training.designs import PAPER_ROADS
 from training.fit_parameters import FitParameters
 from training.table_figures import figures_of, fresh_figures, holds, parts_of, strange_figures
 from training.table_models import (
@@ -154,6 +155,43 @@ def test_who_used_little_says_at_least_unless_it_knows_all_the_same(scale: float
     assert meaning.doubtful_above_ratio >= LEAST_DOUBTFUL_RATIO
     assert said[use_ratio < 0.9 * LITTLE_USE_RATIO].all() == says
     assert not said[use_ratio > 1.1 * LITTLE_USE_RATIO].any()
+
+
+def test_who_does_not_tell_how_much_grip_it_used_has_no_say_in_what_is_doubtful() -> None:
+    use_ratio = np.random.default_rng(1).uniform(0.15, 1.0, len(DRIVES.runs))
+    answers = answers_for(use_ratio, scale=0.05)
+    told = calibrated(answers, {**DRIVES.runs.labels, "peak_utilisation_ratio": use_ratio}, rows=~DRIVES.known)
+    half = np.where(np.arange(len(use_ratio)) % 2, use_ratio, np.nan)
+    some = calibrated(answers, {**DRIVES.runs.labels, "peak_utilisation_ratio": half}, rows=~DRIVES.known)
+    assert some.doubtful_above_ratio == pytest.approx(told.doubtful_above_ratio, rel=0.1)
+    unknown = {**DRIVES.runs.labels, "peak_utilisation_ratio": np.full(len(use_ratio), np.nan)}
+    with pytest.raises(DatasetError, match="how much of the grip it used"):
+        calibrated(answers, unknown, rows=~DRIVES.known)
+    given = calibrated(answers, unknown, rows=~DRIVES.known, doubtful_above_ratio=0.3)
+    assert given.doubtful_above_ratio == 0.3
+
+
+def test_what_weighs_nothing_teaches_nothing() -> None:
+    # Every third drive says nonsense: with next to no weight it does not matter.
+    nonsense = np.arange(len(RUNS)) % 3 == 1
+    labels = {**RUNS.labels, "label_mu": np.where(nonsense, 0.9, RUNS.labels["label_mu"])}
+    wrong = replace(RUNS, labels=labels)
+    plan = few_trees(paper_plan(FitParameters()))
+    weight = np.where(nonsense, 1e-6, 1.0)
+    error = []
+    for drives in (learned_drives(wrong, seed=1), learned_drives(wrong, seed=1, weight_ratio=weight)):
+        right = drives.label_mu < 0.9
+        error.append(float(np.abs(grown_model(drives, plan).strangers.mu / drives.label_mu - 1.0)[right].mean()))
+    assert error[1] < 0.5 * error[0]
+
+
+def test_without_a_known_road_the_one_that_was_driven_most_stands_for_it() -> None:
+    random = RUNS.rows(np.flatnonzero(~np.isin(RUNS.section_id, PAPER_ROADS)))
+    drives = learned_drives(random, seed=1)
+    assert not drives.known.any()
+    ordinary = ordinary_driving(drives, seed=1)
+    found = strange_figures(ordinary, drives.runs, {"all": drives.fold >= 0}, among=drives.fold >= 0)
+    assert found["strange_frac.all"] < 0.1
 
 
 def test_a_bound_that_lies_below_the_truth_holds_however_far() -> None:

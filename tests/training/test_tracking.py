@@ -1,6 +1,7 @@
 """Records of runs with mlflow, in a file of our own: nothing is lost, nothing is sent anywhere."""
 
 import os
+import shutil
 import sqlite3
 from contextlib import closing
 from typing import Any
@@ -12,7 +13,7 @@ from tests.training.study.fake_chapters import fake_chapter, fake_result, verdic
 from training.report.small_files import write_chapter
 from training.study.finding import Computed, Finding, Timing
 from training.study_show import StudyRecord
-from training.tracking import DATABASE_FILE_NAME, TrackedRun, Tracker, local_tracker
+from training.tracking import DATABASE_FILE_NAME, ModelRegister, TrackedRun, Tracker, local_address, local_tracker
 from vehicle_client.simulator.plan import SensorGrade
 
 # Tables are made the first time, which takes seconds: one set of records for all tests.
@@ -32,8 +33,9 @@ class Records:
 
 
 @pytest.fixture(scope="session")
-def records(tmp_path_factory) -> Records:
+def records(empty_records, tmp_path_factory) -> Records:
     folder = tmp_path_factory.mktemp("records")
+    shutil.copy(empty_records, folder / DATABASE_FILE_NAME)
     return Records(folder, local_tracker(folder, experiment="study"))
 
 
@@ -55,6 +57,52 @@ def test_a_run_holds_parameters_figures_words_and_files(records, tmp_path):
     assert 60_000 <= took_ms < 600_000
     assert place.startswith(records.folder.as_uri())
     assert [path.name for path in records.folder.rglob("table.csv")] == ["table.csv"]
+
+
+def test_a_run_keeps_folders_and_says_which_data_it_took(records, tmp_path):
+    run = records.tracker.begin("with folders", parameters={})
+    (tmp_path / "plots").mkdir()
+    (tmp_path / "plots" / "one.svg").write_text("<svg/>", encoding="utf-8")
+    run.folder(tmp_path / "plots", "pictures")
+    run.file(tmp_path / "plots" / "one.svg", folder="more")
+    run.data_set("winter", digest="0123", source="a trailer", profile="{}")
+    run.end()
+    kept = {
+        path.relative_to(records.folder).as_posix().split("artifacts/")[1] for path in records.folder.rglob("one.svg")
+    }
+    assert kept == {"pictures/one.svg", "more/one.svg"}
+    taken = (
+        "select d.name, d.digest from datasets d join inputs i on i.source_id = d.dataset_uuid "
+        "where i.destination_id = ?"
+    )
+    assert records.ask(taken, run.run_id) == [("winter", "0123")]
+
+
+def test_a_run_of_before_can_be_given_more(records, tmp_path):
+    run = records.tracker.begin("before", parameters={})
+    run.end()
+    register = ModelRegister(address=local_address(records.folder))
+    register.run(run.run_id).word("gate", "passed")
+    assert records.ask("select value from tags where run_uuid = ? and key = 'gate'", run.run_id) == [("passed",)]
+    assert not register.fetch(run.run_id, "bundle", tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_versions_count_up_and_an_alias_points_to_one(records):
+    register = ModelRegister(address=local_address(records.folder))
+    assert (register.versions("a model"), register.aliases("a model")) == ([], {})
+    for word in ("first", "second"):
+        run = records.tracker.begin(word, parameters={})
+        made = register.add("a model", run_id=run.run_id, words={"word": word}, description=word)
+        assert (made.run_id, made.words) == (run.run_id, {"word": word})
+        run.end()
+    assert [version.version for version in register.versions("a model")] == [2, 1]
+    register.set_alias("a model", "challenger", 1)
+    register.set_alias("a model", "challenger", 2)
+    register.say("a model", 2, {"gate": "passed"})
+    assert register.aliases("a model") == {"challenger": 2}
+    assert register.versions("a model")[0].words == {"word": "second", "gate": "passed"}
+    assert register.versions("another model") == []
 
 
 def test_a_study_is_a_run_with_a_run_for_each_chapter_and_grade(records, tmp_path):
