@@ -1,5 +1,15 @@
 """The passages on disk: SQLite, one writer thread, acknowledgement after the commit. The one door to SQL."""
 
+from rsu_app.adapters.store.archive import (
+    LedgerVerdict,
+    Lineage,
+    exported_passages,
+    ledger_verdict,
+    lineage,
+    newest_entries,
+    wanted_count,
+)
+from rsu_app.adapters.store.export_rows import Wanted
 from rsu_app.adapters.store.migration import SchemaState, check, upgrade
 from rsu_app.adapters.store.recovery import integrity_problems
 from rsu_app.adapters.store.sqlite import SqlitePassageStore, newest_received_unix_s, open_or_standby, open_store
@@ -7,14 +17,22 @@ from rsu_app.adapters.store.standby import StandbyStore
 from rsu_app.adapters.store.writer import WriterLimits
 
 __all__ = [
+    "LedgerVerdict",
+    "Lineage",
     "SchemaState",
     "SqlitePassageStore",
     "StandbyStore",
+    "Wanted",
     "WriterLimits",
     "check",
+    "exported_passages",
     "integrity_problems",
+    "ledger_verdict",
+    "lineage",
+    "newest_entries",
     "newest_received_unix_s",
     "open_or_standby",
     "open_store",
     "upgrade",
+    "wanted_count",
 ]

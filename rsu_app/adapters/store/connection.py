@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from urllib.parse import quote
 
@@ -76,6 +77,22 @@ def reading_engine(database_path: Path) -> Engine:
         connection.exec_driver_sql("BEGIN")
 
     return engine
+
+
+@contextmanager
+def only_transaction(engine: Engine, *, doing: str) -> Iterator[Connection]:
+    """Give a connection for the one transaction that an engine was made for.
+
+    Raises:
+        StoreError: The database refuses.
+    """
+    try:
+        with engine.begin() as connection:
+            yield connection
+    except (DBAPIError, sqlite3.Error) as error:
+        raise store_error(error, doing=doing) from error
+    finally:
+        engine.dispose()
 
 
 def store_error(error: DBAPIError | sqlite3.Error | OSError, *, doing: str) -> StoreError:

@@ -5,6 +5,7 @@ A road side unit that refuses to start because a power cut spoilt its memory hel
 
 from __future__ import annotations
 
+import glob
 import sqlite3
 from contextlib import closing
 from datetime import UTC, datetime
@@ -83,13 +84,18 @@ def move_aside(database_path: Path, *, now_unix_s: float) -> Path:
     return target
 
 
-def _drop_oldest(database_path: Path) -> None:
+def moved_aside(database_path: Path) -> list[Path]:
+    """Return the damaged databases that are kept, oldest first."""
     kept = [
         path
-        for path in database_path.parent.glob(f"{database_path.name}.damaged-*")
+        for path in database_path.parent.glob(f"{glob.escape(database_path.name)}.damaged-*")
         if not path.name.endswith(_COMPANIONS)
     ]
     # By their own change time: names come from a wall clock that may have been wrong.
-    for old in sorted(kept, key=lambda path: path.stat().st_ctime_ns)[:-KEPT_COUNT]:
+    return sorted(kept, key=lambda path: path.stat().st_ctime_ns)
+
+
+def _drop_oldest(database_path: Path) -> None:
+    for old in moved_aside(database_path)[:-KEPT_COUNT]:
         for path in (old, *(old.with_name(old.name + companion) for companion in _COMPANIONS)):
             path.unlink(missing_ok=True)

@@ -1,4 +1,4 @@
-"""Records to rows and back; every statement the store runs."""
+"""Passages to rows and back; every statement about them that the store runs."""
 
 from __future__ import annotations
 
@@ -10,12 +10,9 @@ from sqlalchemy import Connection, delete, func, insert, or_, select
 from sqlalchemy.dialects.sqlite import insert as sqlite_insert
 
 from roadgrip.records import NotCounted
-from rsu_app.adapters.store.schema import EVENTS, PASSAGES, PROBES
+from rsu_app.adapters.store.schema import PASSAGES, PROBES
 from rsu_app.domain.plausibility import summary_values
-from rsu_app.ports import CountablePassage, Event, PassageEntry, StoredEstimate
-
-EVENTS_LIMIT_COUNT = 10_000
-"""Events that are kept; the oldest go."""
+from rsu_app.ports import CountablePassage, PassageEntry, StoredEstimate
 
 _P = PASSAGES.c
 _ESTIMATE_COLUMNS = (
@@ -30,6 +27,8 @@ _ESTIMATE_COLUMNS = (
     _P.expected_error_ratio,
     _P.mu_low,
     _P.at_least,
+    _P.shadow_bundle_id,
+    _P.shadow_mu,
 )
 
 
@@ -77,29 +76,20 @@ def passages_since(connection: Connection, *, since_unix_s: float, limit_count: 
         .order_by(_P.received_unix_s.desc(), _P.sequence_number.desc())
         .limit(limit_count)
     )
-    return [
-        CountablePassage(
-            estimate=_estimate(row),
-            table_digest=row.table_digest,
-            values=np.frombuffer(row.features, dtype="<f4").astype(np.float32),
-        )
-        for row in newest_first
-    ][::-1]
+    return [_countable(row) for row in newest_first][::-1]
 
 
-def insert_event(connection: Connection, event: Event) -> None:
-    """Store an event and drop those beyond the limit."""
-    row = {"at_unix_s": event.at_unix_s, "kind": event.kind, "subject": event.subject, "detail": event.detail}
-    connection.execute(insert(EVENTS).values(row))
-    newest = select(func.max(EVENTS.c.sequence_number)).scalar_subquery()
-    connection.execute(delete(EVENTS).where(EVENTS.c.sequence_number <= newest - EVENTS_LIMIT_COUNT))
-
-
-def newest_events(connection: Connection, *, limit_count: int) -> list[Event]:
-    """Return events, newest first."""
-    columns = (EVENTS.c.at_unix_s, EVENTS.c.kind, EVENTS.c.subject, EVENTS.c.detail)
-    rows = connection.execute(select(*columns).order_by(EVENTS.c.sequence_number.desc()).limit(limit_count))
-    return [Event(*row) for row in rows]
+def first_passages(
+    connection: Connection, *, section_id: str, bundle_id: str, limit_count: int
+) -> list[CountablePassage]:
+    """Return the first passages of a section that a bundle judged, in the order in which vehicles left it."""
+    first = connection.execute(
+        select(*_ESTIMATE_COLUMNS, _P.table_digest, _P.features)
+        .where(_P.section_id == section_id, _P.bundle_id == bundle_id)
+        .order_by(_P.left_unix_s, _P.sequence_number)
+        .limit(limit_count)
+    )
+    return [_countable(row) for row in first]
 
 
 def passages_count(connection: Connection) -> int:
@@ -130,6 +120,30 @@ def delete_first(connection: Connection, *, batch_count: int) -> int:
     return connection.execute(delete(PASSAGES).where(_P.sequence_number.in_(first))).rowcount
 
 
+def used_bytes(connection: Connection) -> int:
+    """Return the size of what the database holds: its pages but those that wait to be used again."""
+    count = {
+        name: int(connection.exec_driver_sql(f"PRAGMA {name}").scalar_one())
+        for name in ("page_count", "freelist_count", "page_size")
+    }
+    return (count["page_count"] - count["freelist_count"]) * count["page_size"]
+
+
+def delete_first_beyond(connection: Connection, *, size_limit_bytes: int, batch_count: int) -> int:
+    """Delete the passages that arrived first if the database holds more than a size; return how many went."""
+    if used_bytes(connection) <= size_limit_bytes:
+        return 0
+    return delete_first(connection, batch_count=batch_count)
+
+
+def _countable(row: Any) -> CountablePassage:
+    return CountablePassage(
+        estimate=_estimate(row),
+        table_digest=row.table_digest,
+        values=np.frombuffer(row.features, dtype="<f4").astype(np.float32),
+    )
+
+
 def _estimate(row: Any) -> StoredEstimate:
     return StoredEstimate(
         passage_id=row.passage_id,
@@ -143,6 +157,8 @@ def _estimate(row: Any) -> StoredEstimate:
         expected_error_ratio=row.expected_error_ratio,
         mu_low=row.mu_low,
         at_least=bool(row.at_least),
+        shadow_bundle_id=row.shadow_bundle_id,
+        shadow_mu=row.shadow_mu,
     )
 
 
@@ -167,4 +183,6 @@ def _passage_row(entry: PassageEntry) -> dict[str, Any]:
         "expected_error_ratio": estimate.expected_error_ratio,
         "mu_low": estimate.mu_low,
         "at_least": int(estimate.at_least),
+        "shadow_bundle_id": estimate.shadow_bundle_id,
+        "shadow_mu": estimate.shadow_mu,
     }

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import sqlite3
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TypeVar, cast
@@ -14,13 +14,14 @@ from sqlalchemy import Connection
 from sqlalchemy.exc import DBAPIError
 
 from roadgrip.errors import StoreError
-from rsu_app.adapters.store import rows
-from rsu_app.adapters.store.connection import reading_engine, store_error, writing_engine
+from roadgrip.ledger import Action, LedgerEntry, LedgerError
+from rsu_app.adapters.store import ledger_rows, rows
+from rsu_app.adapters.store.connection import only_transaction, reading_engine, store_error, writing_engine
 from rsu_app.adapters.store.migration import check, upgrade
-from rsu_app.adapters.store.recovery import damage, move_aside
+from rsu_app.adapters.store.recovery import damage, move_aside, moved_aside
 from rsu_app.adapters.store.standby import StandbyStore
 from rsu_app.adapters.store.writer import Writer, WriterLimits
-from rsu_app.ports import CountablePassage, Event, PassageEntry, PassageStore, StoreCounts, StoredEstimate
+from rsu_app.ports import CountablePassage, PassageEntry, PassageStore, StoreCounts, StoredEstimate
 
 PROBE_INTERVAL_S = 5.0
 """A commit within this time proves that writing works; readiness asked every second must not wear out the flash."""
@@ -32,26 +33,35 @@ VACUUM_PAGES_COUNT = 1024
 T = TypeVar("T")
 
 
-def open_store(database_path: Path, *, limits: WriterLimits | None = None) -> SqlitePassageStore:
+def open_store(
+    database_path: Path, *, limits: WriterLimits | None = None, size_limit_bytes: int | None = None
+) -> SqlitePassageStore:
     """Return the store in a database file: examined, migrated, with its writer running. The file is made if missing.
 
-    A damaged file is moved aside and a fresh one begun; `notes` of the store says so.
+    A damaged file is moved aside and a fresh one begun; `notes` of the store and the first entry of its ledger say so.
+
+    Args:
+        database_path: The file.
+        limits: How much waits and how much is committed at once.
+        size_limit_bytes: What the database may hold after pruning; None leaves that to ages and numbers.
 
     Raises:
         StoreError: The file can be neither used nor replaced, or it belongs to newer software.
     """
     try:
-        return _open(database_path, limits=limits or WriterLimits())
+        return _open(database_path, limits=limits or WriterLimits(), size_limit_bytes=size_limit_bytes)
     except OSError as error:
         raise store_error(error, doing=f"opening {database_path}") from error
 
 
-def open_or_standby(database_path: Path, *, limits: WriterLimits | None = None) -> PassageStore:
+def open_or_standby(
+    database_path: Path, *, limits: WriterLimits | None = None, size_limit_bytes: int | None = None
+) -> PassageStore:
     """Return the store, or one that says why it cannot be opened and keeps trying. Never raises for the disk's sake.
 
     A unit without its memory still sends maps and advises the winter speed; one that does not start does neither.
     """
-    open_now = partial(open_store, database_path, limits=limits)
+    open_now = partial(open_store, database_path, limits=limits, size_limit_bytes=size_limit_bytes)
     try:
         return open_now()
     except StoreError as error:
@@ -60,17 +70,14 @@ def open_or_standby(database_path: Path, *, limits: WriterLimits | None = None) 
 
 def newest_received_unix_s(database_path: Path) -> float:
     """Return when the newest stored passage was received; zero if there is none or it cannot be read."""
-    engine = reading_engine(database_path)
     try:
-        with engine.begin() as connection:
+        with only_transaction(reading_engine(database_path), doing=f"reading {database_path}") as connection:
             return rows.newest_received_unix_s(connection)
-    except (DBAPIError, sqlite3.Error):
+    except StoreError:
         return 0.0
-    finally:
-        engine.dispose()
 
 
-def _open(database_path: Path, *, limits: WriterLimits) -> SqlitePassageStore:
+def _open(database_path: Path, *, limits: WriterLimits, size_limit_bytes: int | None) -> SqlitePassageStore:
     notes: list[str] = []
     found = damage(database_path)
     if found is not None:
@@ -82,7 +89,29 @@ def _open(database_path: Path, *, limits: WriterLimits) -> SqlitePassageStore:
         if not after.up_to_date:
             raise StoreError(f"{database_path} is at revision {after.current}, this software needs {after.expected}")
         notes.append(f"the database was migrated from revision {before.current} to {after.current}")
-    return SqlitePassageStore(database_path, limits=limits, notes=tuple(notes))
+    _begin_ledger(database_path, damage_note=notes[0] if found else None)
+    return SqlitePassageStore(database_path, limits=limits, size_limit_bytes=size_limit_bytes, notes=tuple(notes))
+
+
+def _begin_ledger(database_path: Path, *, damage_note: str | None) -> None:
+    """Write the first entry of a ledger that has none: why it begins, and which damaged database lies beside it."""
+    with only_transaction(reading_engine(database_path), doing=f"reading {database_path}") as connection:
+        if ledger_rows.rows_after(connection, sequence_number=0, limit_count=1):
+            return
+        reason = "a database without a ledger" if rows.passages_count(connection) else "a new database"
+    kept = moved_aside(database_path)
+    with only_transaction(
+        writing_engine(database_path), doing=f"beginning the ledger of {database_path}"
+    ) as connection:
+        ledger_rows.append_entry(
+            connection,
+            at_unix_s=time.time(),
+            actor="unit",
+            action=Action.LEDGER_BEGUN,
+            subject="",
+            reason=damage_note or reason,
+            evidence={"damaged_database": kept[-1].name} if kept else None,
+        )
 
 
 class SqlitePassageStore:
@@ -91,12 +120,21 @@ class SqlitePassageStore:
     Args:
         database_path: A database at the expected revision.
         limits: How much waits and how much is committed at once.
+        size_limit_bytes: What the database may hold after pruning; None leaves that to ages and numbers.
         notes: What a person should know about how it was opened.
     """
 
-    def __init__(self, database_path: Path, *, limits: WriterLimits, notes: tuple[str, ...] = ()) -> None:
+    def __init__(
+        self,
+        database_path: Path,
+        *,
+        limits: WriterLimits,
+        size_limit_bytes: int | None = None,
+        notes: tuple[str, ...] = (),
+    ) -> None:
         self._path = database_path
         self._limits = limits
+        self._size_limit_bytes = size_limit_bytes
         self._notes = notes
         self._reading = reading_engine(database_path)
         self._writer = Writer(writing_engine(database_path), limits)
@@ -116,13 +154,40 @@ class SqlitePassageStore:
             lambda connection: rows.passages_since(connection, since_unix_s=since_unix_s, limit_count=limit_count)
         )
 
-    async def record_event(self, event: Event) -> None:
-        """Return after the commit that holds the event."""
-        await self._writer.submit(lambda connection: rows.insert_event(connection, event))
+    async def load_first(self, *, section_id: str, bundle_id: str, limit_count: int) -> Sequence[CountablePassage]:
+        """Return the first passages of a section that a bundle judged and that are still kept, in their order."""
+        return await self._read(
+            lambda connection: rows.first_passages(
+                connection, section_id=section_id, bundle_id=bundle_id, limit_count=limit_count
+            )
+        )
 
-    async def events(self, *, limit_count: int) -> Sequence[Event]:
-        """Return the newest events, newest first."""
-        return await self._read(lambda connection: rows.newest_events(connection, limit_count=limit_count))
+    async def record(
+        self,
+        *,
+        at_unix_s: float,
+        actor: str,
+        action: Action,
+        subject: str,
+        reason: str,
+        evidence: Mapping[str, str] | None = None,
+    ) -> LedgerEntry:
+        """Return the entry that was appended to the ledger, after the commit that holds it."""
+        # Made where it is written: only there is it known what it follows.
+        append = partial(
+            ledger_rows.append_entry,
+            at_unix_s=at_unix_s,
+            actor=actor,
+            action=action,
+            subject=subject,
+            reason=reason,
+            evidence=evidence,
+        )
+        return cast("LedgerEntry", await self._writer.submit(append))
+
+    async def ledger(self, *, limit_count: int) -> Sequence[LedgerEntry]:
+        """Return the newest entries of the ledger, newest first."""
+        return await self._read(lambda connection: ledger_rows.newest_entries(connection, limit_count=limit_count))
 
     async def counts(self) -> StoreCounts:
         """Return how full the store is."""
@@ -145,7 +210,7 @@ class SqlitePassageStore:
             await self._writer.submit(lambda connection: rows.write_probe(connection, unix_s=unix_s))
 
     async def prune(self, *, before_unix_s: float | None, rows_limit_count: int) -> int:
-        """Delete what is too old, then the oldest beyond the limit, in batches; return how many went."""
+        """Delete what is too old, then the oldest beyond the limits, in batches; return how many went."""
         deleted_count = 0
         if before_unix_s is not None:
             delete_old = partial(
@@ -158,6 +223,12 @@ class SqlitePassageStore:
             batch_count = min(excess_count, PRUNE_BATCH_COUNT)
             deleted_count += await self._writer.submit(partial(rows.delete_first, batch_count=batch_count))
             excess_count -= batch_count
+        if self._size_limit_bytes is not None:
+            delete_beyond = partial(
+                rows.delete_first_beyond, size_limit_bytes=self._size_limit_bytes, batch_count=PRUNE_BATCH_COUNT
+            )
+            while gone := await self._writer.submit(delete_beyond):
+                deleted_count += gone
         if deleted_count:
             await self._writer.submit(f"PRAGMA incremental_vacuum({VACUUM_PAGES_COUNT})")
         return deleted_count
@@ -176,3 +247,5 @@ class SqlitePassageStore:
                 return question(connection)
         except (DBAPIError, sqlite3.Error) as error:
             raise store_error(error, doing=f"reading {self._path}") from error
+        except LedgerError as error:
+            raise StoreError(str(error)) from error

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from roadgrip.errors import StoreError
-from rsu_app.ports import CountablePassage, Event, PassageEntry, PassageStore, StoreCounts, StoredEstimate
+from roadgrip.ledger import Action, LedgerEntry
+from rsu_app.ports import CountablePassage, PassageEntry, PassageStore, StoreCounts, StoredEstimate
 
 RETRY_PERIOD_S = 5.0
 """Between two attempts to open; in between, whoever asks is told why the last one failed."""
@@ -49,13 +50,29 @@ class StandbyStore:
         """Return what was received at or after a moment, oldest first."""
         return await (await self._opened()).load(since_unix_s=since_unix_s, limit_count=limit_count)
 
-    async def record_event(self, event: Event) -> None:
-        """Return after the commit that holds the event."""
-        await (await self._opened()).record_event(event)
+    async def load_first(self, *, section_id: str, bundle_id: str, limit_count: int) -> Sequence[CountablePassage]:
+        """Return the first passages of a section that a bundle judged and that are still kept, in their order."""
+        store = await self._opened()
+        return await store.load_first(section_id=section_id, bundle_id=bundle_id, limit_count=limit_count)
 
-    async def events(self, *, limit_count: int) -> Sequence[Event]:
-        """Return the newest events, newest first."""
-        return await (await self._opened()).events(limit_count=limit_count)
+    async def record(
+        self,
+        *,
+        at_unix_s: float,
+        actor: str,
+        action: Action,
+        subject: str,
+        reason: str,
+        evidence: Mapping[str, str] | None = None,
+    ) -> LedgerEntry:
+        """Return the entry that was appended to the ledger, after the commit that holds it."""
+        return await (await self._opened()).record(
+            at_unix_s=at_unix_s, actor=actor, action=action, subject=subject, reason=reason, evidence=evidence
+        )
+
+    async def ledger(self, *, limit_count: int) -> Sequence[LedgerEntry]:
+        """Return the newest entries of the ledger, newest first."""
+        return await (await self._opened()).ledger(limit_count=limit_count)
 
     async def counts(self) -> StoreCounts:
         """Return how full the store is."""

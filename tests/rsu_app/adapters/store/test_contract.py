@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+from dataclasses import replace
 
 import pytest
 
+from roadgrip.ledger import Action, chain_problems
 from rsu_app.adapters.store import open_store
-from rsu_app.ports import Event
 from tests.rsu_app.adapters.store.stories import SECTION, make_entry
 from tests.rsu_app.fakes import NOON_UNIX_S, FakeStore, make_passage
 
@@ -81,12 +82,60 @@ def test_pruning_forgets_ids_and_values_with_the_passage(run):
     run(story)
 
 
-def test_events_come_newest_first(run):
+def test_a_new_ledger_says_that_it_is_new(run):
     async def story(store):
-        for number in range(3):
-            await store.record_event(Event(NOON_UNIX_S + number, "model_live", f"bundle-{number}", "detail"))
-        newest = await store.events(limit_count=1)
-        assert list(newest) == [Event(NOON_UNIX_S + 2.0, "model_live", "bundle-2", "detail")]
+        [entry] = await store.ledger(limit_count=10)
+        assert (entry.sequence_number, entry.actor, entry.action) == (1, "unit", Action.LEDGER_BEGUN)
+        assert (entry.reason, entry.evidence) == ("a new database", {})
+
+    run(story)
+
+
+def test_the_ledger_comes_newest_first_and_as_it_was_recorded(run):
+    async def story(store):
+        recorded = [
+            await store.record(
+                at_unix_s=NOON_UNIX_S + number / 3.0,
+                actor="anna",
+                action=Action.INSTALLED,
+                subject=f"bundle-{number}",
+                reason='wrong in "snow" ☃',
+                evidence={"ring": "canary", "gate": "passed"},
+            )
+            for number in range(3)
+        ]
+        assert list(await store.ledger(limit_count=2)) == recorded[:0:-1]
+        assert chain_problems((await store.ledger(limit_count=10))[::-1]) == []
+
+    run(story)
+
+
+def test_what_is_recorded_at_once_makes_one_chain(run):
+    async def story(store):
+        numbers = range(20)
+        await asyncio.gather(
+            *(
+                store.record(at_unix_s=0.0, actor="unit", action=Action.LIVE, subject=str(number), reason="")
+                for number in numbers
+            )
+        )
+        entries = await store.ledger(limit_count=100)
+        assert {entry.subject for entry in entries[:-1]} == set(map(str, numbers))
+        assert chain_problems(entries[::-1]) == []
+
+    run(story)
+
+
+@pytest.mark.parametrize("beside", [(None, None), ("fedcba9876543210", None), ("fedcba9876543210", 0.37)])
+def test_what_a_second_bundle_said_is_kept(run, beside):
+    bundle_id, mu = beside
+    entry = make_entry(1)
+    entry = replace(entry, estimate=replace(entry.estimate, shadow_bundle_id=bundle_id, shadow_mu=mu))
+
+    async def story(store):
+        await store.append(entry)
+        [loaded] = await store.load(since_unix_s=0.0, limit_count=1)
+        assert loaded.estimate == entry.estimate
 
     run(story)
 

@@ -5,6 +5,7 @@ import asyncio
 import pytest
 
 from roadgrip.errors import StoreError
+from roadgrip.ledger import Action
 from rsu_app.adapters.store import open_store
 from rsu_app.adapters.store.recovery import KEPT_COUNT, damage, move_aside
 from rsu_app.adapters.store.schema import REVISION
@@ -59,6 +60,37 @@ def test_a_damaged_database_is_moved_aside_and_a_fresh_one_begun(path, spoil):
     [kept] = path.parent.glob("passages.db.damaged-*")
     assert kept.read_bytes() == content
     assert kept.name in notes[0]
+
+
+def first_entry(path):
+    async def story():
+        store = open_store(path)
+        [*_, entry] = await store.ledger(limit_count=100)
+        await store.close()
+        return entry
+
+    return asyncio.run(story())
+
+
+def test_the_ledger_begun_after_damage_says_so_and_names_the_old_file(path):
+    path.write_text("this was a database once\n" * 1000)
+    entry = first_entry(path)
+    [kept] = path.parent.glob("passages.db.damaged-*")
+    assert (entry.sequence_number, entry.action) == (1, Action.LEDGER_BEGUN)
+    assert "damaged" in entry.reason
+    assert entry.evidence == {"damaged_database": kept.name}
+
+
+def test_a_ledger_begun_later_than_the_damage_was_found_still_names_the_old_file(path):
+    path.write_text("this was a database once\n" * 1000)
+    moved_to = move_aside(path, now_unix_s=0.0)
+    entry = first_entry(path)
+    assert (entry.reason, entry.evidence) == ("a new database", {"damaged_database": moved_to.name})
+
+
+def test_the_ledger_goes_on_through_restarts(path):
+    first = first_entry(path)
+    assert first_entry(path) == first
 
 
 def test_an_empty_file_is_a_fresh_database(path):

@@ -12,9 +12,8 @@ from roadgrip.errors import ConfigurationError, StoreError
 from roadgrip.records import NotCounted
 from rsu_app.adapters.store import WriterLimits, open_store
 from rsu_app.adapters.store.connection import reading_engine, writing_engine
-from rsu_app.adapters.store.rows import EVENTS_LIMIT_COUNT
 from rsu_app.adapters.store.schema import REVISION
-from rsu_app.ports import Event
+from rsu_app.adapters.store.sqlite import PRUNE_BATCH_COUNT
 from tests.rsu_app.adapters.store.stories import SECTION, make_entry
 from tests.rsu_app.fakes import NOON_UNIX_S, make_passage
 
@@ -25,8 +24,8 @@ def path(tmp_path):
 
 
 @asynccontextmanager
-async def opened(path, **limits):
-    store = open_store(path, limits=WriterLimits(**({"linger_s": 0.0} | limits)))
+async def opened(path, *, size_limit_bytes=None, **limits):
+    store = open_store(path, limits=WriterLimits(**({"linger_s": 0.0} | limits)), size_limit_bytes=size_limit_bytes)
     try:
         yield store
     finally:
@@ -36,6 +35,11 @@ async def opened(path, **limits):
 def query(path, statement):
     with closing(sqlite3.connect(path)) as connection:
         return connection.execute(statement).fetchall()
+
+
+def held_bytes(path):
+    [(pages_count,)], [(free_count,)] = query(path, "PRAGMA page_count"), query(path, "PRAGMA freelist_count")
+    return 4096 * (pages_count - free_count)
 
 
 async def load_all(store):
@@ -184,28 +188,6 @@ def test_closing_writes_what_waits_and_then_refuses(path):
     assert query(path, "SELECT count(*) FROM passages") == [(20,)]
 
 
-def test_events_are_kept_newest_first_and_bounded(path):
-    async def story():
-        async with opened(path) as store:
-            for number in range(3):
-                await store.record_event(Event(NOON_UNIX_S + number, "model_live", f"bundle-{number}", ""))
-            assert [event.subject for event in await store.events(limit_count=2)] == ["bundle-2", "bundle-1"]
-
-    asyncio.run(story())
-    with closing(sqlite3.connect(path)) as connection, connection:
-        connection.executemany(
-            "INSERT INTO events (at_unix_s, kind, subject, detail) VALUES (0, 'k', 's', 'd')",
-            [()] * EVENTS_LIMIT_COUNT,
-        )
-
-    async def one_more():
-        async with opened(path) as store:
-            await store.record_event(Event(NOON_UNIX_S, "model_live", "last", ""))
-            assert len(await store.events(limit_count=2 * EVENTS_LIMIT_COUNT)) == EVENTS_LIMIT_COUNT
-
-    asyncio.run(one_more())
-
-
 def test_pruning_by_age_then_by_number(path):
     async def story():
         async with opened(path) as store:
@@ -216,6 +198,47 @@ def test_pruning_by_age_then_by_number(path):
             assert await store.prune(before_unix_s=None, rows_limit_count=5) == 0
             left = await load_all(store)
             assert [estimate.left_unix_s - NOON_UNIX_S for estimate in left] == [5.0, 6.0, 7.0, 8.0, 9.0]
+
+    asyncio.run(story())
+
+
+def test_pruning_keeps_what_the_database_holds_below_its_size(path):
+    async def story():
+        async with opened(path, size_limit_bytes=600_000) as store:
+            await asyncio.gather(*(store.append(make_entry(seed)) for seed in range(1_500)))
+            before = await load_all(store)
+            deleted_count = await store.prune(before_unix_s=None, rows_limit_count=10_000)
+            left = await load_all(store)
+            # Whole batches, the first that came; no more of them than the size asks for.
+            assert deleted_count % PRUNE_BATCH_COUNT == 0
+            assert 0 < deleted_count < 1_500
+            assert {e.passage_id for e in left} == {e.passage_id for e in before[deleted_count:]}
+            assert held_bytes(path) <= 600_000 < held_bytes(path) * 1_500 / len(left)
+            assert await store.prune(before_unix_s=None, rows_limit_count=10_000) == 0
+
+    asyncio.run(story())
+
+
+def test_free_pages_do_not_count_as_size(path):
+    async def story():
+        async with opened(path) as store:
+            await asyncio.gather(*(store.append(make_entry(seed)) for seed in range(600)))
+        with closing(sqlite3.connect(path)) as connection, connection:
+            connection.execute("DELETE FROM passages WHERE sequence_number > 100")
+        [(pages_count,)] = query(path, "PRAGMA page_count")
+        async with opened(path, size_limit_bytes=300_000) as store:
+            assert pages_count * 4096 > 300_000
+            assert await store.prune(before_unix_s=None, rows_limit_count=10_000) == 0
+
+    asyncio.run(story())
+
+
+def test_a_size_that_cannot_be_kept_ends_with_the_last_passage(path):
+    async def story():
+        async with opened(path, size_limit_bytes=1) as store:
+            await store.append(make_entry(1))
+            assert await store.prune(before_unix_s=None, rows_limit_count=10) == 1
+            assert len(await store.ledger(limit_count=10)) == 1
 
     asyncio.run(story())
 
