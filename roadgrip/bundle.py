@@ -256,11 +256,12 @@ def check_manifest(manifest: BundleManifest) -> None:
         <= set(manifest.table_digests),
         "a model file has no digest": not set(files) <= set(manifest.files_sha256),
         "two models share a file": len(set(files)) != len(files),
-        "the bundle id is not its models'": manifest.bundle_id != bundle_id_of(manifest.models, manifest.files_sha256),
     }
     _refuse(manifest, problems)
     for model in manifest.models:
         _check_model(manifest, model)
+    wrong_id = manifest.bundle_id != bundle_id_of(manifest.models, manifest.files_sha256)
+    _refuse(manifest, {"the bundle id is not its models'": wrong_id})
 
 
 def _check_model(manifest: BundleManifest, model: ModelManifest) -> None:

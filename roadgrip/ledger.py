@@ -48,6 +48,10 @@ class Action(StrEnum):
     LEDGER_BEGUN = "ledger_begun"
 
 
+WENT_LIVE = frozenset({Action.LIVE, Action.SWITCHED, Action.ROLLED_BACK})
+"""After these a unit answers by the bundle that is their subject."""
+
+
 @dataclass(frozen=True, slots=True)
 class LedgerEntry:
     """One act.
@@ -93,7 +97,7 @@ def entry_after(
     number, before = (1, GENESIS_HASH) if previous is None else (previous.sequence_number + 1, previous.entry_hash)
     content = (
         number,
-        round(at_unix_s, 3) if isfinite(at_unix_s) else 0.0,
+        round(at_unix_s, 3) + 0.0 if isfinite(at_unix_s) else 0.0,
         actor,
         action,
         subject,
@@ -147,6 +151,38 @@ def chain_problems(entries: Iterable[LedgerEntry], *, known_heads: Iterable[str]
         f"the head {head[:16]} that was told elsewhere is missing" for head in known_heads if head not in hashes
     ]
     return problems
+
+
+@dataclass(frozen=True, slots=True)
+class Provenance:
+    """Where the answers of a unit came from at some moment.
+
+    Attributes:
+        live: The entry that says which bundle was live.
+        installed: The entry about its release; None for the bundle that the unit was delivered with.
+    """
+
+    live: LedgerEntry
+    installed: LedgerEntry | None
+
+
+def provenance_at(entries: Iterable[LedgerEntry], at_unix_s: float) -> Provenance | None:
+    """Return which bundle a unit answered by at a moment, and how it came there; None before the first one.
+
+    Args:
+        entries: Of the unit's ledger, oldest first. Their order counts: a clock may have stepped between two of them.
+        at_unix_s: The moment, by the unit's wall clock.
+    """
+    live: LedgerEntry | None = None
+    releases: dict[str, LedgerEntry] = {}
+    for entry in entries:
+        if entry.at_unix_s > at_unix_s:
+            break
+        if entry.action in WENT_LIVE:
+            live = entry
+        elif entry.action is Action.INSTALLED:
+            releases[entry.subject] = entry
+    return None if live is None else Provenance(live, releases.get(live.subject))
 
 
 def entry_to_json(entry: LedgerEntry) -> str:

@@ -1,4 +1,4 @@
-"""roadgrip-rsu, from the outside: starts the commands of `rsu_app.cli`, or says what is not installed."""
+"""roadgrip-rsu, from the outside: starts the commands of `rsu_app.cli.main`, or says what is not installed."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ OURS = ("roadgrip", "rsu_app")
 def main() -> None:
     """Run the command line; without its libraries that is one clear line and exit code 2."""
     try:
-        from rsu_app.cli import run
+        from rsu_app.cli.main import run
     except ModuleNotFoundError as error:
         if error.name is None or error.name.split(".", 1)[0] in OURS:
             raise

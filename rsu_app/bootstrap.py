@@ -7,14 +7,13 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from importlib.metadata import version as distribution_version
-from importlib.resources import files
 from math import nan
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import structlog
 
-from roadgrip.errors import BundleError, ConfigurationError, FeatureTableError, SectionError, StoreError, WireError
+from roadgrip.errors import ConfigurationError, SectionError, StoreError, WireError
 from roadgrip.exchange import ExchangeLedger
 from roadgrip.features import TABLES
 from roadgrip.records import MapOffer, Rejected
@@ -28,12 +27,14 @@ from rsu_app.domain.change import ChangePolicy
 from rsu_app.domain.interval import IntervalPolicy
 from rsu_app.domain.probing import ProbingPolicy
 from rsu_app.gateway import FrameGateway
-from rsu_app.intake import PassageIntake, TimedModel
+from rsu_app.intake import PassageIntake
 from rsu_app.observability import Metrics
-from rsu_app.ports import Clock, FrictionModel, PassageStore
+from rsu_app.ports import Clock, PassageStore
 from rsu_app.rate import RateLimit
-from rsu_app.settings import Settings
+from rsu_app.rollout_wiring import load_model, loading_of, rollout_of, shelf_of, show_drift, show_rollout
+from rsu_app.settings import Settings, passages_kept_s
 from rsu_app.usecases import FrictionPolicies, RoadSideUnit, SectionFriction, UnitLimits
+from rsu_app.usecases.rollout import Rollout, boot
 
 if TYPE_CHECKING:
     from rsu_app.adapters.http.site import Broadcast, Site
@@ -52,6 +53,7 @@ class Parts:
     store: PassageStore
     gateway: FrameGateway
     intake: PassageIntake
+    rollout: Rollout
     streams: StreamDesk
     metrics: Metrics
     clock: Clock
@@ -73,15 +75,22 @@ def build(settings: Settings, *, metrics: Metrics, sections: tuple[RoadSection, 
 
     signer, verifier = load_keys(settings)
     check_maps(sections, signer=signer)
-    model, model_absence = _model_or_absence(settings)
+    shelf = shelf_of(settings)
+    started = boot(shelf, loading_of(settings, metrics=metrics))
+    for note in started.notes:
+        _log.error("bundle_unusable", note=note)
     policy = _advisory_policy(settings)
     writing = WriterLimits(queue_count=settings.database.queue_limit_count)
-    store = open_or_standby(settings.database.path, limits=writing)
+    store = open_or_standby(
+        settings.database.path,
+        limits=writing,
+        size_limit_bytes=settings.export.size_limit_bytes if settings.export.enabled else None,
+    )
     clock = _clock(settings)
     unit = RoadSideUnit(
         sections=sections,
         store=store,
-        model=None if model is None else TimedModel(model, metrics=metrics),
+        model=started.model,
         clock=clock,
         policy=policy,
         section_policies={
@@ -93,11 +102,12 @@ def build(settings: Settings, *, metrics: Metrics, sections: tuple[RoadSection, 
         limits=UnitLimits(
             window_s=settings.window.length_s,
             subscribers_count=settings.http.stream_clients_limit_count,
-            retention_s=settings.database.retention_s,
+            retention_s=passages_kept_s(settings),
             rows_count=settings.database.rows_limit_count,
         ),
-        model_absence=model_absence,
+        model_absence="no model is loaded: " + "; ".join(started.notes),
     )
+    rollout = rollout_of(settings, unit=unit, store=store, shelf=shelf, started=started, clock=clock, metrics=metrics)
     intake = PassageIntake(unit, metrics=metrics, in_flight_limit_count=settings.ingest.in_flight_limit_count)
     gateway = FrameGateway(
         unit=unit,
@@ -118,6 +128,7 @@ def build(settings: Settings, *, metrics: Metrics, sections: tuple[RoadSection, 
         store=store,
         gateway=gateway,
         intake=intake,
+        rollout=rollout,
         streams=StreamDesk(metrics),
         metrics=metrics,
         clock=clock,
@@ -161,6 +172,8 @@ async def observe(parts: Parts) -> None:
         if not isinstance(advisory, Rejected):
             metrics.advisory_speed.labels(section_id).set(advisory.speed_mps)
     parts.gateway.observe()
+    show_rollout(parts.rollout.status, unit=unit, metrics=metrics)
+    show_drift(unit, metrics=metrics)
     try:
         counts = await parts.store.counts()
     except StoreError as error:
@@ -215,23 +228,6 @@ def load_keys(settings: Settings) -> tuple[Signer | None, Verifier | None]:
         raise ConfigurationError(f"signing.trusted_keys_folder: {folder} is no folder")
     pems = [_bytes_of(path) for path in sorted(folder.glob("*.pem"))]
     return signer, verifier_from_pems(pems, required=signing.required)
-
-
-def load_model(settings: Settings) -> FrictionModel:
-    """Return the model that the settings ask for.
-
-    Raises:
-        BundleError: The bundle must not be trusted.
-        FeatureTableError: It was made for another feature table.
-    """
-    from rsu_app.adapters.inference import load_bundle
-
-    return load_bundle(bundle_path(settings))
-
-
-def bundle_path(settings: Settings) -> Path:
-    """Return the folder of the bundle: the chosen one, or the packaged default."""
-    return settings.model.bundle_path or Path(str(files("rsu_app") / "default_bundle"))
 
 
 def check_settings(settings: Settings) -> list[str]:
@@ -309,15 +305,6 @@ def _clock(settings: Settings) -> Clock:
     from rsu_app.adapters.store import newest_received_unix_s
 
     return AcceleratedClock(ratio, not_before_unix_s=newest_received_unix_s(settings.database.path))
-
-
-def _model_or_absence(settings: Settings) -> tuple[FrictionModel | None, str]:
-    """Return the model, or None and why there is none: a unit without one still says the winter speed."""
-    try:
-        return load_model(settings), ""
-    except (BundleError, FeatureTableError) as error:
-        _log.error("model_unusable", bundle=str(bundle_path(settings)), error=str(error))
-        return None, f"no model is loaded: {error}"
 
 
 def _advisory_policy(settings: Settings) -> AdvisoryPolicy:

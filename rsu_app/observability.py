@@ -110,6 +110,53 @@ class Metrics:
         self.http_requests = self._counter(
             "roadgrip_http_requests_total", "Requests by route and status.", "route", "status"
         )
+        self.bundle = self._gauge(
+            "roadgrip_bundle_info",
+            "1; the labels say which bundle is `live`, `previous` or `candidate`.",
+            "role",
+            "bundle",
+        )
+        self.update_refusals = self._counter(
+            "roadgrip_update_refusals_total", "Releases and steps of a rollout that were refused, by reason.", "reason"
+        )
+        self.rollout_stage = self._gauge(
+            "roadgrip_rollout_stage", "1 for how far the newest release has come.", "stage"
+        )
+        self.shadow_passages = self._gauge(
+            "roadgrip_shadow_passages", "Passages that two bundles were compared by; 0 with a single one."
+        )
+        self.shadow_failures = self._gauge(
+            "roadgrip_shadow_failures", "Passages that the newer of them left without an answer."
+        )
+        self.shadow_median = self._gauge(
+            "roadgrip_shadow_median_ratio", "Median difference of the newer to the older, of ln mu."
+        )
+        self.shadow_spread = self._gauge(
+            "roadgrip_shadow_spread_ratio", "What nine differences in ten stay below, of ln mu."
+        )
+        self.drift_psi = self._gauge(
+            "roadgrip_drift_psi_ratio",
+            "Population stability index of a feature against the training's reference, or of the estimate `mu`.",
+            "section",
+            "feature",
+        )
+        self.drift_ks = self._gauge(
+            "roadgrip_drift_ks_frac",
+            "Kolmogorov-Smirnov distance of a feature against the training's reference, or of the estimate `mu`.",
+            "section",
+            "feature",
+        )
+        self.drift_moved = self._gauge(
+            "roadgrip_drift_own_moved_frac",
+            "Share of the features that moved against the section's own earlier traffic of like friction.",
+            "section",
+        )
+        self.drift_outside = self._gauge(
+            "roadgrip_drift_out_of_envelope_frac", "Share of the passages outside the model's envelope.", "section"
+        )
+        self.drift_alarm = self._gauge(
+            "roadgrip_drift_alarm", "1 while somebody should look at the section, by what for.", "section", "alarm"
+        )
         self.log_lines_dropped = self._counter(
             "roadgrip_log_lines_dropped_total", "Log lines above the budget `log.lines_limit_per_s`."
         )
@@ -117,6 +164,15 @@ class Metrics:
     def section_label(self, section_id: str) -> str:
         """Return the section's id if the unit serves it, or `other`."""
         return section_id if section_id in self._section_ids else OTHER_SECTION
+
+    def passage_counts(self) -> list[tuple[dict[str, str], int]]:
+        """Return how many passages were answered since the start, for each set of labels."""
+        return [
+            (sample.labels, int(sample.value))
+            for family in self.passages.collect()
+            for sample in family.samples
+            if sample.name.endswith("_total")
+        ]
 
     def exposition(self) -> bytes:
         """Return all metrics in the text format of Prometheus."""

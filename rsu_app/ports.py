@@ -5,7 +5,7 @@ Adapters implement these protocols; tests implement them with fakes that are rea
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roadgrip.bundle import BundleManifest
+from roadgrip.ledger import Action, LedgerEntry
 from roadgrip.records import NotCounted, Passage
 from roadgrip.units import FloatArray
 
@@ -81,6 +82,8 @@ class StoredEstimate:
         expected_error_ratio: Size of the error to expect, relative to the estimate; None when the bundle does not say.
         mu_low: Below this the friction hardly is; None when the bundle does not say.
         at_least: The passage only says that the friction is at least `mu_low`.
+        shadow_bundle_id: The bundle that was asked beside it; None without one.
+        shadow_mu: What that one said; None without an answer.
     """
 
     passage_id: bytes
@@ -94,6 +97,8 @@ class StoredEstimate:
     expected_error_ratio: float | None = None
     mu_low: float | None = None
     at_least: bool = False
+    shadow_bundle_id: str | None = None
+    shadow_mu: float | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,23 +123,6 @@ class PassageEntry:
     passage: Passage
     received_unix_s: float
     estimate: StoredEstimate
-
-
-@dataclass(frozen=True, slots=True)
-class Event:
-    """Something an operator will ask about later, such as which model was live when.
-
-    Attributes:
-        at_unix_s: When, by the wall clock.
-        kind: What happened, such as "model_live".
-        subject: To what, such as a bundle id.
-        detail: For a person.
-    """
-
-    at_unix_s: float
-    kind: str
-    subject: str
-    detail: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,16 +171,41 @@ class PassageStore(Protocol):
         """
         ...
 
-    async def record_event(self, event: Event) -> None:
-        """Return after the commit that holds the event.
+    async def load_first(self, *, section_id: str, bundle_id: str, limit_count: int) -> Sequence[CountablePassage]:
+        """Return the first passages of a section that a bundle judged and that are still kept, in their order.
+
+        Raises:
+            StoreError: The database cannot be read.
+        """
+        ...
+
+    async def record(
+        self,
+        *,
+        at_unix_s: float,
+        actor: str,
+        action: Action,
+        subject: str,
+        reason: str,
+        evidence: Mapping[str, str] | None = None,
+    ) -> LedgerEntry:
+        """Return the entry that was appended to the ledger, after the commit that holds it.
+
+        Args:
+            at_unix_s: When, by the unit's wall clock.
+            actor: Who: a person's account, or the unit itself.
+            action: What was done.
+            subject: To what, such as a bundle id.
+            reason: Why, for a person.
+            evidence: What it rests on.
 
         Raises:
             StoreError: The commit failed or there is no room.
         """
         ...
 
-    async def events(self, *, limit_count: int) -> Sequence[Event]:
-        """Return the newest events, newest first.
+    async def ledger(self, *, limit_count: int) -> Sequence[LedgerEntry]:
+        """Return the newest entries of the ledger, newest first. A store that is new has one that says so.
 
         Raises:
             StoreError: The database cannot be read.

@@ -70,6 +70,11 @@ class BundleShelf(Protocol):
     Whatever is on the shelf was whole when it was put there, and is looked at again whenever it is opened.
     """
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a person should know about how the state was read, such as a damaged file that was moved aside."""
+        ...
+
     def state(self) -> RolloutState:
         """Return what the shelf is for; the factory's bundle alone if there is no shelf yet or its file is damaged."""
         ...

@@ -4,23 +4,32 @@ from __future__ import annotations
 
 import asyncio
 import signal
-from collections.abc import AsyncIterator, Awaitable, Callable
+import socket
+from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine
 from contextlib import AsyncExitStack, asynccontextmanager
 
 import structlog
 
 from roadgrip.errors import RoadgripError, StoreError
 from rsu_app.adapters.http.app import create_app
+from rsu_app.adapters.http.control import control_socket, create_control_app
 from rsu_app.adapters.http.server import HttpServer, listening_socket
 from rsu_app.adapters.udp.endpoint import FrameEndpoint, open_endpoint
 from rsu_app.bootstrap import Parts, build, load_sections, site_of_parts, software_version
 from rsu_app.observability import Metrics, configure_logging
+from rsu_app.operation import control_desk
+from rsu_app.rollout_wiring import socket_path
 from rsu_app.settings import Settings
 
 _log = structlog.get_logger("roadgrip")
 
 REFRESH_PERIOD_S = 2.0
 """How often the unit looks whether time alone has changed its advice."""
+DRIFT_PERIOD_S = 60.0
+"""How often the unit looks at sections with new traffic; 20 ms of a thread each."""
+CONTROL_CONNECTIONS_COUNT = 16
+WATCH_PERIOD_S = 1.0
+"""How often the unit looks at what a new bundle does; a misleading one stays for no longer than that."""
 CATCH_UP_PERIOD_S = 10.0
 """How often the unit tries what a missing date or a full disk kept it from at the start."""
 
@@ -59,6 +68,10 @@ async def _run(settings: Settings) -> None:
         endpoint, udp_address = await _endpoint(parts)
         if endpoint is not None:
             stack.push_async_callback(endpoint.close)
+        await parts.rollout.resume()
+        control = control_socket(socket_path(settings))
+        stack.callback(socket_path(settings).unlink, missing_ok=True)
+        stack.callback(control.close)
         app = create_app(site_of_parts(parts, endpoint=endpoint))
         host, port = listener.getsockname()[:2]
 
@@ -80,6 +93,7 @@ async def _run(settings: Settings) -> None:
             on_stop=parts.streams.close,
         )
         await stack.enter_async_context(_chores(parts, endpoint, server))
+        await stack.enter_async_context(_control(parts, control))
         _stop_on_signals(server)
         await server.serve(sockets=[listener])
         _log.info("stopping")
@@ -111,9 +125,8 @@ async def _endpoint(parts: Parts) -> tuple[FrameEndpoint | None, str]:
     return endpoint, _address(host, port)
 
 
-@asynccontextmanager
-async def _chores(parts: Parts, endpoint: FrameEndpoint | None, server: HttpServer) -> AsyncIterator[None]:
-    """Do what repeats while the unit runs; a chore that dies of a bug takes the unit down, loudly."""
+def _chores_of(parts: Parts, endpoint: FrameEndpoint | None) -> list[Coroutine[None, None, None]]:
+    """Return what repeats while the unit runs."""
 
     async def refresh() -> None:
         parts.unit.refresh()
@@ -132,10 +145,20 @@ async def _chores(parts: Parts, endpoint: FrameEndpoint | None, server: HttpServ
         _repeat("refresh", refresh, period_s=REFRESH_PERIOD_S),
         _repeat("catch_up", catch_up, period_s=CATCH_UP_PERIOD_S),
         _repeat("prune", prune, period_s=parts.settings.database.prune_period_s),
+        _repeat("rollout", parts.rollout.watch, period_s=WATCH_PERIOD_S),
+        _repeat("drift", parts.unit.watch_drift, period_s=DRIFT_PERIOD_S),
     ]
+    if parts.settings.updates.source:
+        chores.append(_repeat("updates", parts.rollout.look, period_s=parts.settings.updates.poll_period_s))
     udp = parts.settings.udp
     if endpoint is not None and udp.broadcast_host and udp.beacon_period_s > 0.0:
         chores.append(endpoint.announce(period_s=udp.beacon_period_s))
+    return chores
+
+
+@asynccontextmanager
+async def _chores(parts: Parts, endpoint: FrameEndpoint | None, server: HttpServer) -> AsyncIterator[None]:
+    """Do what repeats while the unit runs; a chore that dies of a bug takes the unit down, loudly."""
 
     def on_end(task: asyncio.Task[None]) -> None:
         if not task.cancelled() and (error := task.exception()) is not None:
@@ -143,7 +166,7 @@ async def _chores(parts: Parts, endpoint: FrameEndpoint | None, server: HttpServ
             server.failed = True
             server.stop()
 
-    tasks = [asyncio.create_task(chore) for chore in chores]
+    tasks = [asyncio.create_task(chore) for chore in _chores_of(parts, endpoint)]
     for task in tasks:
         task.add_done_callback(on_end)
     try:
@@ -154,7 +177,25 @@ async def _chores(parts: Parts, endpoint: FrameEndpoint | None, server: HttpServ
         await asyncio.gather(*tasks, return_exceptions=True)
 
 
-async def _repeat(name: str, chore: Callable[[], Awaitable[None]], *, period_s: float) -> None:
+@asynccontextmanager
+async def _control(parts: Parts, listener: socket.socket) -> AsyncIterator[None]:
+    """Take orders of operators on this machine while the unit runs."""
+    server = HttpServer(
+        create_control_app(control_desk(parts)),
+        connections_limit_count=CONTROL_CONNECTIONS_COUNT,
+        shutdown_s=parts.settings.http.shutdown_s,
+        on_start=lambda: None,
+        on_stop=lambda: None,
+    )
+    task = asyncio.create_task(server.serve(sockets=[listener]))
+    try:
+        yield
+    finally:
+        server.stop()
+        await task
+
+
+async def _repeat(name: str, chore: Callable[[], Awaitable[object]], *, period_s: float) -> None:
     while True:
         await asyncio.sleep(period_s)
         try:

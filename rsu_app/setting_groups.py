@@ -39,14 +39,44 @@ class DatabaseSettings(_Group):
         default=1_024, ge=1, le=100_000, description="Passages that may wait for a commit; more are refused as `busy`."
     )
     retention_s: float = Field(
-        default=90 * 86_400.0,
+        default=7 * 86_400.0,
         ge=WINDOW_S,
-        description="Stored passages older than this are deleted, never those of the window.",
+        description="Stored passages older than this are deleted, never those of the window; an export may ask for "
+        "more.",
     )
     rows_limit_count: int = Field(
         default=1_000_000, ge=1_000, description="Passages that may be stored; the oldest make room."
     )
     prune_period_s: float = Field(default=600.0, ge=1.0, description="How often old passages are looked for.")
+
+
+class ExportSettings(_Group):
+    """Whether passages are kept for the laboratory, and how many."""
+
+    enabled: bool = Field(
+        default=False,
+        description="Whether passages are kept for `roadgrip-rsu export`, without which it refuses.",
+    )
+    retention_s: float = Field(
+        default=90 * 86_400.0,
+        ge=WINDOW_S,
+        description="How long passages are kept if so, `database.retention_s` if that is longer.",
+    )
+    size_limit_bytes: int = Field(
+        default=512 * 1024 * 1024,
+        ge=64 * 1024 * 1024,
+        description="What the database may hold if so; the oldest passages make room, however young.",
+    )
+    unit_name: str = Field(
+        default="", max_length=64, description="Name of the unit in exports; must be given if they are enabled."
+    )
+
+    @model_validator(mode="after")
+    def _named(self) -> ExportSettings:
+        if self.enabled and not self.unit_name.strip():
+            message = "enabled needs unit_name, or nobody could tell whose passages an export holds"
+            raise ValueError(message)
+        return self
 
 
 class SectionSettings(_Group):
@@ -317,6 +347,68 @@ class SigningSettings(_Group):
             message = "required needs trusted_keys_folder, or no message could ever be accepted"
             raise ValueError(message)
         return self
+
+
+class UpdateSettings(_Group):
+    """Where new bundles come from, and what they have to stand before vehicles are answered by them."""
+
+    folder: Path | None = Field(
+        default=None,
+        description="Shelf of bundles and of what is known about the repository; left out, `roadgrip-models` beside "
+        "the database.",
+    )
+    source: str = Field(
+        default="",
+        description="Signed repository: a URL (`https://...`) or a folder; empty: only what `roadgrip-rsu update` is "
+        "handed.",
+    )
+    trusted_root: Path | None = Field(
+        default=None,
+        description="The laboratory's `trusted-root.json`, brought here by hand; without it no release is taken.",
+    )
+    ring: str = Field(
+        default="all", pattern=r"^[a-z][a-z0-9-]{0,31}$", description="The group of units that this one belongs to."
+    )
+    poll_period_s: float = Field(
+        default=3_600.0, ge=1.0, le=30 * 86_400.0, description="How often the source is looked at."
+    )
+    shadow_count: int = Field(
+        default=200, ge=0, le=100_000, description="Passages that a new bundle answers unheard before it is live."
+    )
+    probation_count: int = Field(
+        default=200, ge=0, le=100_000, description="Passages that the one before is asked for comparison afterwards."
+    )
+    judged_from_count: int = Field(
+        default=30, ge=1, le=1_000, description="Passages from which the limits below are held against it."
+    )
+    median_limit_ratio: float = Field(
+        default=0.12, gt=0.0, le=2.0, description="Largest median difference of the two estimates, of ln mu."
+    )
+    spread_limit_ratio: float = Field(
+        default=0.4, gt=0.0, le=5.0, description="What nine differences in ten must stay below, of ln mu."
+    )
+    share_limit_frac: float = Field(
+        default=0.3,
+        gt=0.0,
+        le=1.0,
+        description="By how much the shares of passages that name a friction, or count, may differ.",
+    )
+    latency_limit_s: float = Field(
+        default=0.02, gt=0.0, le=1.0, description="What nineteen answers in twenty must take less than."
+    )
+    failures_limit_count: int = Field(
+        default=0, ge=0, le=1_000, description="Passages that the new bundle may leave without an answer."
+    )
+
+
+class ControlSettings(_Group):
+    """How an operator on the machine speaks to the running unit: `roadgrip-rsu status`, `update`, `rollback`."""
+
+    socket_path: Path | None = Field(
+        default=None,
+        description="Unix socket that only the unit's own account may use; left out, `control.sock` on the shelf of "
+        "bundles.",
+    )
 
 
 class ClockSettings(_Group):

@@ -8,6 +8,7 @@ Relative paths in a configuration file are relative to that file's folder.
 from __future__ import annotations
 
 import os
+import re
 import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -22,7 +23,9 @@ from rsu_app.setting_groups import (
     AdvisorySettings,
     ChangeDetectionSettings,
     ClockSettings,
+    ControlSettings,
     DatabaseSettings,
+    ExportSettings,
     FrameSettings,
     HttpSettings,
     IngestSettings,
@@ -32,6 +35,7 @@ from rsu_app.setting_groups import (
     SectionSettings,
     SigningSettings,
     UdpSettings,
+    UpdateSettings,
     WindowSettings,
 )
 
@@ -40,6 +44,7 @@ if TYPE_CHECKING:
 
 ENV_PREFIX = "ROADGRIP_"
 ENV_DELIMITER = "__"
+_URL = re.compile(r"[a-z]+://")
 CONFIG_VARIABLE = "ROADGRIP_CONFIG"
 """Names the file of settings; no setting itself."""
 
@@ -60,6 +65,7 @@ class Settings(BaseSettings):
         default=(SectionSettings(file="long-turn"),), min_length=1, description="The sections this unit serves."
     )
     database: DatabaseSettings = DatabaseSettings()
+    export: ExportSettings = ExportSettings()
     model: ModelSettings = ModelSettings()
     window: WindowSettings = WindowSettings()
     change_detection: ChangeDetectionSettings = ChangeDetectionSettings()
@@ -70,6 +76,8 @@ class Settings(BaseSettings):
     frames: FrameSettings = FrameSettings()
     ingest: IngestSettings = IngestSettings()
     signing: SigningSettings = SigningSettings()
+    updates: UpdateSettings = UpdateSettings()
+    control: ControlSettings = ControlSettings()
     clock: ClockSettings = ClockSettings()
     log: LogSettings = LogSettings()
 
@@ -84,6 +92,12 @@ class Settings(BaseSettings):
     ) -> tuple[PydanticBaseSettingsSource, ...]:
         """Return the sources, strongest first: the environment overrules what the file says (it comes as `init`)."""
         return env_settings, init_settings
+
+
+def passages_kept_s(settings: Settings) -> float:
+    """Return how long passages are kept: nothing longer than the unit needs it, unless they are for an export."""
+    kept_s = settings.database.retention_s
+    return max(kept_s, settings.export.retention_s) if settings.export.enabled else kept_s
 
 
 def load_settings(config_file: Path | None) -> Settings:
@@ -105,6 +119,7 @@ def load_settings(config_file: Path | None) -> Settings:
         except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
             raise ConfigurationError(f"{config_file} is not TOML: {error}") from error
         _anchor_paths(content, config_file.resolve().parent)
+        _anchored_source(content, config_file.resolve().parent)
     _refuse_unknown_variables()
     try:
         return Settings(**content)
@@ -195,6 +210,9 @@ def _anchor_paths(content: dict[str, Any], folder: Path) -> None:
         ("model", "bundle_path"),
         ("signing", "key_file"),
         ("signing", "trusted_keys_folder"),
+        ("updates", "folder"),
+        ("updates", "trusted_root"),
+        ("control", "socket_path"),
     ):
         table = content.get(group)
         if isinstance(table, dict) and isinstance(table.get(name), str):
@@ -203,6 +221,14 @@ def _anchor_paths(content: dict[str, Any], folder: Path) -> None:
     for section in sections if isinstance(sections, list) else ():
         if isinstance(section, dict) and isinstance(section.get("file"), str) and not is_packaged_name(section["file"]):
             section["file"] = str(folder / section["file"])
+
+
+def _anchored_source(content: dict[str, Any], folder: Path) -> None:
+    """Take a repository that is named as a relative folder relative to the configuration file, too."""
+    updates = content.get("updates")
+    source = updates.get("source") if isinstance(updates, dict) else None
+    if isinstance(updates, dict) and isinstance(source, str) and source and not _URL.match(source):
+        updates["source"] = str(folder / source)
 
 
 def _refuse_unknown_variables() -> None:

@@ -13,7 +13,10 @@ from rich.console import Console
 from rich.table import Table
 
 from roadgrip.errors import RoadgripError
-from rsu_app.section_cli import section_app
+from rsu_app.cli.export import export
+from rsu_app.cli.ledger import ledger_app
+from rsu_app.cli.rollout import rollback, status, switch, update
+from rsu_app.cli.section import section_app
 from rsu_app.settings import CONFIG_VARIABLE, load_settings, settings_rows, settings_table, shown_value
 
 USAGE_ERROR = 2
@@ -32,6 +35,9 @@ config = typer.Typer(help="Check and show settings.", no_args_is_help=True)
 app.add_typer(database, name="db")
 app.add_typer(config, name="config")
 app.add_typer(section_app, name="section")
+app.add_typer(ledger_app, name="ledger")
+for command in (status, update, switch, rollback, export):
+    app.command()(command)
 
 ConfigFile = Annotated[
     Path | None,

@@ -19,8 +19,8 @@ from roadgrip.section_file import section_to_json
 from roadgrip.sections import packaged_names, read_section
 from roadgrip.survey_fit import FitReport, ImportRequest, section_of_survey
 from roadgrip.units import mps_to_kph
+from rsu_app.cli.section_report import curvature_sketch, curves_of, map_message_problem, plan_sketch, section_figures
 from rsu_app.road_import.reading import BYTES_LIMIT, RoadFormat, survey_of_bytes
-from rsu_app.section_report import curvature_sketch, curves_of, map_message_problem, plan_sketch, section_figures
 
 section_app = typer.Typer(
     help="Make and look at maps: the sections a unit serves.",
@@ -194,7 +194,7 @@ def _write(path: Path, text: str) -> None:
 
 
 def _draw(section: RoadSection, path: Path) -> None:
-    from rsu_app.section_plot import FIGURE_INCHES, draw_section
+    from rsu_app.cli.section_plot import FIGURE_INCHES, draw_section
 
     if path.suffix.lower() not in PLOT_ENDINGS:
         raise SectionError(f"{path}: a plot ends in {', '.join(PLOT_ENDINGS)}")

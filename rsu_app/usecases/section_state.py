@@ -24,6 +24,7 @@ from rsu_app.domain.watch import ChangeWatch
 from rsu_app.domain.window import FrictionWindow, WindowRows
 from rsu_app.ports import CountablePassage, FrictionModel
 from rsu_app.usecases.changes import Subscription
+from rsu_app.usecases.drift_watch import DriftWatch
 
 
 @dataclass(slots=True)
@@ -60,6 +61,7 @@ class SectionState:
         advisory: What drivers were told last; None before the first time.
         standing: The speed in it and since when it is told.
         reading: What the vehicles knew when it was asked for last.
+        drift: Looks whether traffic is still what the live model was made for.
     """
 
     section: RoadSection
@@ -68,6 +70,7 @@ class SectionState:
     window: FrictionWindow
     likelihoods: LikelihoodWindow
     listeners: set[Subscription]
+    drift: DriftWatch
     watch: ChangeWatch | None = None
     advisory: Advisory | None = None
     standing: Standing | None = None
@@ -107,6 +110,7 @@ def section_states(
             window=FrictionWindow(window_s=window_s, capacity_count=window_capacity_count),
             likelihoods=LikelihoodWindow(window_s=window_s),
             listeners=set(),
+            drift=DriftWatch(section.section_id),
             watch=None if change_policy is None else ChangeWatch(policy=change_policy, window_s=window_s),
         )
     if not states:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 
 from roadgrip.bundle import BundleManifest
-from roadgrip.errors import BundleError, ConfigurationError, StoreError, StoreFullError
+from roadgrip.errors import BundleError, StoreError, StoreFullError
 from roadgrip.features import TABLES
+from roadgrip.ledger import WENT_LIVE, Action
 from roadgrip.reasons import Reason
 from roadgrip.records import (
     Accepted,
@@ -22,21 +22,22 @@ from roadgrip.records import (
     Rejected,
 )
 from roadgrip.section import RoadSection
-from roadgrip.units import WINDOW_S
 from rsu_app.domain.advisory import AdvisoryPolicy
+from rsu_app.domain.drift import DriftReport
 from rsu_app.domain.plausibility import age_flag, implausibility, summary_values
+from rsu_app.domain.shadow import Answer, ShadowRecord
 from rsu_app.domain.watch import MEMORY_WINDOWS_COUNT
-from rsu_app.domain.window import CAPACITY_COUNT
 from rsu_app.ports import (
     Clock,
     CountablePassage,
-    Event,
     FrictionModel,
     PassageEntry,
     PassageStore,
     StoredEstimate,
 )
 from rsu_app.usecases.changes import Subscription
+from rsu_app.usecases.drift_watch import LEARNED_FROM_COUNT
+from rsu_app.usecases.limits import UnitLimits
 from rsu_app.usecases.readiness import Check, ClockWatch, Readiness, check_golden, model_check, store_check
 from rsu_app.usecases.recall import Recall, content_digest, outcome_of_repetition, values_digest
 from rsu_app.usecases.section_friction import (
@@ -46,40 +47,11 @@ from rsu_app.usecases.section_friction import (
     section_advisory,
     section_friction,
 )
-from rsu_app.usecases.section_state import (
-    SectionState,
-    count_passage,
-    judged_passage,
-    section_states,
-)
+from rsu_app.usecases.section_state import SectionState, count_passage, section_states
+from rsu_app.usecases.shadowing import Shadow, asked_beside, timed_judgement
 
-
-@dataclass(frozen=True, slots=True)
-class UnitLimits:
-    """Everything that could grow, and how far it may.
-
-    Attributes:
-        window_s: How long an estimate counts.
-        window_capacity_count: Estimates per section that are counted at once.
-        recall_count: Passages remembered in memory to recognise repetitions; the store recognises older ones.
-        subscribers_count: Listeners to changes, over all sections.
-        retention_s: How long passages stay in the store.
-        rows_count: Passages that may stay in the store.
-    """
-
-    window_s: float = WINDOW_S
-    window_capacity_count: int = CAPACITY_COUNT
-    recall_count: int = 20_000
-    subscribers_count: int = 200
-    retention_s: float = 30 * 86_400.0
-    rows_count: int = 1_000_000
-
-    def __post_init__(self) -> None:
-        counts = (self.window_capacity_count, self.recall_count, self.subscribers_count, self.rows_count)
-        if min(counts) < 1 or not self.window_s > 0.0:
-            raise ConfigurationError("every limit of the unit must be above zero")
-        if not self.retention_s >= self.window_s:
-            raise ConfigurationError("passages must be kept at least as long as they count")
+LEDGER_LOOKBACK_COUNT = 1_000
+"""Entries among which the newest word on the live model is looked for; if it is older, it is said again."""
 
 
 class RoadSideUnit:
@@ -141,7 +113,9 @@ class RoadSideUnit:
         if model is not None:
             check_golden(model)
         self._model = model
+        self._watch_drift()
         self._model_absence = model_absence
+        self._shadow: Shadow | None = None
 
     @property
     def section_ids(self) -> tuple[str, ...]:
@@ -152,6 +126,16 @@ class RoadSideUnit:
     def table_digests(self) -> tuple[str, ...]:
         """The feature tables that are served: those of the live bundle, all that are known while there is none."""
         return tuple(TABLES) if self._model is None else self._model.manifest.table_digests
+
+    @property
+    def model(self) -> FrictionModel | None:
+        """The live model."""
+        return self._model
+
+    @property
+    def shadow(self) -> Shadow | None:
+        """The model that is asked beside it; None most of the time."""
+        return self._shadow
 
     @property
     def model_manifest(self) -> BundleManifest | None:
@@ -187,6 +171,7 @@ class RoadSideUnit:
             since_unix_s=self._clock.unix_s() - self._memory_s, limit_count=self._limits.recall_count
         )
         unix_s, monotonic_s = self._clock.unix_s(), self._clock.monotonic_s()
+        await self._learn_earlier_traffic()
         counted_count = 0
         for passage in remembered:
             age_s = unix_s - passage.estimate.left_unix_s
@@ -218,9 +203,10 @@ class RoadSideUnit:
         if self._model is None:
             return Rejected(Reason.NO_MODEL, "this unit has no model yet")
         try:
-            judged = judged_passage(passage, state, self._model)
+            judged, took_s = timed_judgement(passage, state, self._model)
         except BundleError as error:
             return Rejected(Reason.NO_MODEL, str(error))
+        beside = None if self._shadow is None else asked_beside(passage, state, self._shadow, Answer(judged, took_s))
         unix_s = self._clock.unix_s()
         estimate = StoredEstimate(
             passage_id=passage.passage_id,
@@ -234,6 +220,8 @@ class RoadSideUnit:
             expected_error_ratio=judged.expected_error_ratio,
             mu_low=judged.mu_low,
             at_least=judged.at_least,
+            shadow_bundle_id=None if self._shadow is None else self._shadow.model.manifest.bundle_id,
+            shadow_mu=None if beside is None else beside.mu,
         )
         entry = PassageEntry(passage=passage, received_unix_s=unix_s, estimate=estimate)
         task = asyncio.create_task(self._keep(entry, left_at_s=received_at_s - passage.age_s))
@@ -252,6 +240,17 @@ class RoadSideUnit:
         if state is None:
             return self._unknown(section_id)
         return section_friction(state, now_s=self._clock.monotonic_s(), policies=self._friction_policies)
+
+    def current_drift(self, section_id: str) -> DriftReport | Rejected | None:
+        """Return whether a section's traffic was what the live model was made for, when `watch_drift` looked last."""
+        state = self._states.get(section_id)
+        return self._unknown(section_id) if state is None else state.drift.latest
+
+    async def watch_drift(self) -> None:
+        """Look at each section that had traffic since the last look; call it every few minutes."""
+        for state in self._states.values():
+            if (manifest := self.model_manifest) is not None:
+                await state.drift.look(manifest, now_s=self._clock.monotonic_s())
 
     def current_advisory(self, section_id: str) -> Advisory | Rejected:
         """Return what drivers on a section are told now."""
@@ -314,31 +313,51 @@ class RoadSideUnit:
             if before is None or (before.speed_mps, before.reason) != (after.speed_mps, after.reason):
                 _notify(state)
 
-    async def switch_model(self, model: FrictionModel) -> None:
+    def switch_model(self, model: FrictionModel) -> None:
         """Make a model the live one, after it has answered its golden vectors.
 
-        The incumbent answers until then. Estimates it gave stay in the windows.
+        The incumbent answers until then: whatever is judged by one model is judged by it alone, and nothing waits.
+        Estimates it gave stay in the windows.
 
         Raises:
             BundleError: The candidate misses its golden vectors; the incumbent stays.
         """
         check_golden(model)
         self._model = model
-        self.refresh()
         self._model_noted = False
-        await self._note_live_model()
+        self._watch_drift()
+        self.refresh()
+
+    def begin_shadow(self, model: FrictionModel, *, newer: bool) -> None:
+        """Ask a model about every passage from now on, beside the live one.
+
+        Args:
+            model: It; takes the place of one that was asked before.
+            newer: Whether it is a candidate, and not the one before.
+        """
+        self._shadow = Shadow(model, newer, ShadowRecord())
+
+    def end_shadow(self) -> None:
+        """Ask the live model alone from now on."""
+        self._shadow = None
 
     async def _note_live_model(self) -> None:
-        """Write into the ledger which model is live now. A store that cannot write does not stop the model."""
+        """Write into the ledger which model is live now, if its newest word on that is another.
+
+        A unit that restarts every minute does not fill its ledger, and a store that cannot write stops no model.
+        """
         manifest = self.model_manifest
-        event = Event(
-            at_unix_s=self._clock.unix_s(),
-            kind="model_live",
-            subject="" if manifest is None else manifest.bundle_id,
-            detail=self._model_absence if manifest is None else manifest.name,
-        )
+        subject = "" if manifest is None else manifest.bundle_id
         try:
-            await self._store.record_event(event)
+            entries = await self._store.ledger(limit_count=LEDGER_LOOKBACK_COUNT)
+            if subject != next((entry.subject for entry in entries if entry.action in WENT_LIVE), None):
+                await self._store.record(
+                    at_unix_s=self._clock.unix_s(),
+                    actor="unit",
+                    action=Action.LIVE,
+                    subject=subject,
+                    reason=self._model_absence if manifest is None else manifest.name,
+                )
         except StoreError:
             return
         self._model_noted = manifest is self.model_manifest
@@ -387,8 +406,9 @@ class RoadSideUnit:
         if known is not None:
             return outcome_of_repetition(known, passage_id=estimate.passage_id, content=estimate.content_digest)
         countable = CountablePassage(estimate, summary.table_digest, summary_values(summary))
+        state = self._states[estimate.section_id]
         if self._admit(countable, left_at_s=left_at_s, age_s=entry.passage.age_s):
-            state = self._states[estimate.section_id]
+            state.drift.learn(countable)
             self._advisory(state)
             _notify(state)
         return Accepted(estimate.flags)
@@ -408,7 +428,27 @@ class RoadSideUnit:
             return False
         self._recall.remember(estimate)
         state = self._states.get(estimate.section_id)
-        return state is not None and count_passage(state, passage, left_at_s=left_at_s, age_s=age_s)
+        if state is None:
+            return False
+        state.drift.note(passage, left_at_s=left_at_s)
+        return count_passage(state, passage, left_at_s=left_at_s, age_s=age_s)
+
+    async def _learn_earlier_traffic(self) -> None:
+        """Let the watch for drift learn again what each section's traffic was like before the restart."""
+        manifest = self.model_manifest
+        if manifest is None:
+            return
+        for section_id, state in self._states.items():
+            for passage in await self._store.load_first(
+                section_id=section_id, bundle_id=manifest.bundle_id, limit_count=LEARNED_FROM_COUNT
+            ):
+                state.drift.learn(passage)
+
+    def _watch_drift(self) -> None:
+        """Let every section's watch know which bundle it looks at."""
+        manifest = self.model_manifest
+        for state in self._states.values():
+            state.drift.begin("" if manifest is None else manifest.bundle_id)
 
     def _interval(self, state: SectionState) -> FrictionInterval | None:
         return published_interval(state, now_s=self._clock.monotonic_s(), policies=self._friction_policies)

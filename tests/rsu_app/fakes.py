@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from roadgrip.bundle import BundleManifest
-from roadgrip.errors import StoreError
+from roadgrip.errors import BundleError, StoreError
 from roadgrip.features import NEWEST_TABLE, TABLES, FeatureTable, statistics_of
+from roadgrip.ledger import Action, LedgerEntry, entry_after
 from roadgrip.records import KinematicSummary, Passage, QualityFlag
+from roadgrip.release import Release
 from roadgrip.section import BankOrigin, RoadSection, build_section
 from roadgrip.units import FloatArray, kph_to_mps
 from rsu_app.domain.plausibility import summary_values
-from rsu_app.ports import CountablePassage, Estimates, Event, PassageEntry, StoreCounts, StoredEstimate
+from rsu_app.domain.rollout import RolloutState, ShelvedBundle
+from rsu_app.ports import CountablePassage, Estimates, PassageEntry, StoreCounts, StoredEstimate
+from rsu_app.rollout_ports import FetchedRelease, UpdateRefusal
 from tests.bundles import BIAS_MU, CONFORMAL, ERROR_BIAS_RATIO, ERROR_WEIGHTS, linear_mu, make_manifest
 
 NOON_UNIX_S = 1_767_268_800.0
@@ -85,7 +90,16 @@ class FakeStore:
 
     def __init__(self) -> None:
         self.entries: list[PassageEntry] = []
-        self.ledger: list[Event] = []
+        self.ledger_entries = [
+            entry_after(
+                None,
+                at_unix_s=NOON_UNIX_S,
+                actor="unit",
+                action=Action.LEDGER_BEGUN,
+                subject="",
+                reason="a new database",
+            )
+        ]
         self.error: StoreError | None = None
         self.gate: asyncio.Event | None = None
         self.closed = False
@@ -110,12 +124,39 @@ class FakeStore:
             if e.received_unix_s >= since_unix_s
         ][-limit_count:]
 
-    async def record_event(self, event: Event) -> None:
-        await self._write()
-        self.ledger.append(event)
+    async def load_first(self, *, section_id: str, bundle_id: str, limit_count: int) -> Sequence[CountablePassage]:
+        wanted = [e for e in self.entries if (e.estimate.section_id, e.estimate.bundle_id) == (section_id, bundle_id)]
+        wanted.sort(key=lambda e: e.estimate.left_unix_s)
+        return [
+            CountablePassage(e.estimate, e.passage.summary.table_digest, summary_values(e.passage.summary))
+            for e in wanted[:limit_count]
+        ]
 
-    async def events(self, *, limit_count: int) -> Sequence[Event]:
-        return self.ledger[::-1][:limit_count]
+    async def record(
+        self,
+        *,
+        at_unix_s: float,
+        actor: str,
+        action: Action,
+        subject: str,
+        reason: str,
+        evidence: Mapping[str, str] | None = None,
+    ) -> LedgerEntry:
+        await self._write()
+        entry = entry_after(
+            self.ledger_entries[-1],
+            at_unix_s=at_unix_s,
+            actor=actor,
+            action=action,
+            subject=subject,
+            reason=reason,
+            evidence=evidence,
+        )
+        self.ledger_entries.append(entry)
+        return entry
+
+    async def ledger(self, *, limit_count: int) -> Sequence[LedgerEntry]:
+        return self.ledger_entries[::-1][:limit_count]
 
     async def counts(self) -> StoreCounts:
         return StoreCounts(len(self.entries), 0, queued_count=0, queue_limit_count=1)
@@ -212,3 +253,77 @@ def make_passage(
             | changes
         )
     )
+
+
+def release_of(sequence_number: int, bundle_id: str, *, ring: str = "all", reason: str = "better") -> Release:
+    return Release(
+        ring=ring,
+        sequence_number=sequence_number,
+        bundle_id=bundle_id,
+        files_sha256={"manifest.json": "a" * 64},
+        released_unix_s=int(NOON_UNIX_S),
+        released_by="ann",
+        reason=reason,
+        gate="passed",
+        ledger_hash="b" * 64,
+    )
+
+
+class FakeSource:
+    """Has the release it is given, or refuses as it is told."""
+
+    def __init__(self) -> None:
+        self.release: Release | None = None
+        self.refusal: UpdateRefusal | None = None
+
+    def fetch(self, ring: str, *, newer_than: int, into: Path) -> FetchedRelease | UpdateRefusal | None:
+        if self.refusal is not None:
+            return self.refusal
+        if self.release is None or self.release.sequence_number <= newer_than:
+            return None
+        return FetchedRelease(self.release, into)
+
+
+class FakeShelf:
+    """Keeps its state in memory; survives a restart if handed to the next rollout.
+
+    `error` makes every write fail; bundles in `damaged_ids` are not what was put there;
+    `damaged` says that of the state itself.
+    """
+
+    def __init__(self) -> None:
+        self.kept = RolloutState()
+        self.states: list[RolloutState] = []
+        self.error: StoreError | None = None
+        self.damaged_ids: set[str] = set()
+        self.damaged = False
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        return ("state.json was damaged",) if self.damaged else ()
+
+    def state(self) -> RolloutState:
+        return RolloutState() if self.damaged else self.kept
+
+    def keep_state(self, state: RolloutState) -> None:
+        if self.error is not None:
+            raise self.error
+        self.kept = state
+        self.states.append(state)
+
+    def put(self, release: Release, folder: Path) -> ShelvedBundle:
+        if self.error is not None:
+            raise self.error
+        return ShelvedBundle(release.bundle_id, "a" * 64, release.sequence_number, release.ledger_hash, release.gate)
+
+    def folder_of(self, bundle: ShelvedBundle) -> Path:
+        if bundle.bundle_id in self.damaged_ids:
+            raise BundleError(f"bundle {bundle.bundle_id} differs from its digest")
+        return Path(bundle.bundle_id)
+
+    def clear(self, state: RolloutState) -> None:
+        pass
+
+    @property
+    def incoming_folder(self) -> Path:
+        return Path("incoming")

@@ -2,6 +2,7 @@
 
 import asyncio
 import math
+import time
 from pathlib import Path
 
 import httpx
@@ -12,6 +13,7 @@ from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption,
 
 from roadgrip.errors import ConfigurationError, StoreError
 from roadgrip.features import NEWEST_TABLE
+from roadgrip.ledger import Action
 from roadgrip.records import Advisory, AdvisoryReason, FrictionInterval
 from roadgrip.section import GnssAnchor, build_section
 from rsu_app.adapters.http.app import create_app
@@ -25,6 +27,7 @@ from rsu_app.observability import Metrics
 from rsu_app.settings import load_settings
 from rsu_app.usecases import FrictionPolicies
 from tests.bundles import make_bundle
+from tests.rsu_app.adapters.store.stories import make_entry
 from tests.rsu_app.fakes import WaveringModel, make_passage
 from tests.rsu_app.sites import passage_json
 
@@ -35,10 +38,13 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def parts_of(folder: Path, more: str = "") -> Parts:
+def parts_of(folder: Path, more: str = "", *, size_limit_bytes: int | None = None) -> Parts:
     config = folder / "rsu.toml"
     config.write_text(f'{more}\n[database]\npath = "rsu.sqlite3"\n[model]\nbundle_path = "bundle"\n', encoding="utf-8")
     settings = load_settings(config)
+    if size_limit_bytes is not None:  # smaller than anybody may choose, so that one passage is too many
+        export = settings.export.model_copy(update={"size_limit_bytes": size_limit_bytes})
+        settings = settings.model_copy(update={"export": export})
     sections = load_sections(settings)
     metrics = Metrics(version="0", section_ids=[s.section_id for s in sections])
     return build(settings, metrics=metrics, sections=sections)
@@ -70,6 +76,32 @@ def test_a_restart_restores_the_window(folder):
         assert isinstance(after, FrictionInterval)
         assert (before.median_mu, before.passages_count) == (after.median_mu, after.passages_count)
         await second.unit.close()
+
+    asyncio.run(scenario())
+
+
+EXPORTS = '[export]\nenabled = true\nunit_name = "bend"\n'
+
+
+@pytest.mark.parametrize(("more", "deleted_count"), [("", 2), (EXPORTS, 1)])
+def test_what_nobody_exports_is_not_kept_for_long(folder, more, deleted_count):
+    async def scenario() -> None:
+        parts = parts_of(folder, more)
+        for seed, days in enumerate((1.0, 30.0, 100.0)):
+            await parts.store.append(make_entry(seed, received_unix_s=time.time() - 86_400.0 * days))
+        assert await parts.unit.prune() == deleted_count
+        await parts.unit.close()
+
+    asyncio.run(scenario())
+
+
+@pytest.mark.parametrize(("more", "deleted_count"), [("", 0), (EXPORTS, 1)])
+def test_what_is_kept_for_exports_stays_below_its_size(folder, more, deleted_count):
+    async def scenario() -> None:
+        parts = parts_of(folder, more, size_limit_bytes=1)
+        await parts.store.append(make_entry(1, received_unix_s=time.time()))
+        assert await parts.unit.prune() == deleted_count
+        await parts.unit.close()
 
     asyncio.run(scenario())
 
@@ -110,6 +142,8 @@ def test_a_unit_whose_database_cannot_be_opened_starts_and_takes_it_up_later(fol
         assert (await parts.unit.readiness()).ready
         assert [answer.status_code for answer in await posted(parts, 1)] == [200]
         assert any("only later" in note for note in parts.store.notes)
+        actions = [entry.action for entry in await parts.store.ledger(limit_count=10)]
+        assert actions == [Action.LIVE, Action.LEDGER_BEGUN]
         await parts.unit.close()
 
     asyncio.run(scenario())
@@ -159,7 +193,7 @@ def test_gauges_show_the_interval_and_nothing_where_there_is_none(folder):
 def test_a_gauge_shows_that_too_few_vehicles_name_a_friction(folder):
     async def scenario() -> None:
         parts, model = parts_of(folder), WaveringModel()
-        await parts.unit.switch_model(model)
+        parts.unit.switch_model(model)
         model.wavers = True
         (section,) = load_sections(parts.settings)
         for seed in range(12):

@@ -8,7 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 import rsu_app.__main__ as door
-import rsu_app.cli as program
+import rsu_app.cli.main as program
 from tests.bundles import make_bundle
 
 
@@ -41,7 +41,7 @@ def test_the_version_is_one_line():
     assert re.fullmatch(r"roadgrip \d+\.\d+\.\d+\S*\n", said("--version"))
 
 
-@pytest.mark.parametrize("command", ["serve", "db", "config", "section"])
+@pytest.mark.parametrize("command", ["serve", "db", "config", "section", "ledger", "export"])
 def test_help_names_every_command(command):
     assert command in said("--help")
 

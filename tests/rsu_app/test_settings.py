@@ -6,7 +6,7 @@ from pydantic import ValidationError
 from roadgrip.errors import ConfigurationError
 from rsu_app.domain.change import ChangePolicy
 from rsu_app.domain.probing import ProbingPolicy
-from rsu_app.settings import Settings, load_settings, settings_rows, settings_table
+from rsu_app.settings import Settings, load_settings, passages_kept_s, settings_rows, settings_table
 
 
 def written(folder: Path, text: str) -> Path:
@@ -66,6 +66,9 @@ def test_a_packaged_section_keeps_its_name(tmp_path):
         ("[change_detection]\nslack_ratio = 0.3\n", "change_detection: slack_ratio must lie below"),
         ("[change_detection]\nrise_threshold_ratio = 0.1\n", "change_detection: rise_threshold_ratio must not"),
         ("[change_detection]\nreference_from_count = 31\n", "change_detection: reference_from_count must not"),
+        ("[export]\nenabled = true\n", "export: enabled needs unit_name"),
+        ('[export]\nenabled = true\nunit_name = " "\n', "export: enabled needs unit_name"),
+        ("[export]\nsize_limit_bytes = 1000000\n", "export.size_limit_bytes"),
         ("[probing]\nnamed_frac = 1.0\n", "probing.named_frac"),
         ("[probing]\ndriven_frac = 0.0\n", "probing.driven_frac"),
         ("[probing]\nlikely_count = 201\n", "probing.likely_count"),
@@ -115,6 +118,19 @@ def test_the_settings_of_change_detection_are_what_the_detector_assumes():
     fields = Settings().change_detection.model_dump()
     assert fields.pop("enabled") is False
     assert ChangePolicy(**fields) == ChangePolicy()
+
+
+@pytest.mark.parametrize(
+    ("text", "kept_days"),
+    [
+        ("", 7),
+        ("[export]\nretention_s = 864000\n", 7),
+        ('[export]\nenabled = true\nunit_name = "bend"\n', 90),
+        ('[export]\nenabled = true\nunit_name = "bend"\nretention_s = 86400\n', 7),
+    ],
+)
+def test_passages_are_kept_longer_only_for_an_export(tmp_path, text, kept_days):
+    assert passages_kept_s(load_settings(written(tmp_path, text))) == 86_400.0 * kept_days
 
 
 def test_the_settings_of_probing_are_what_the_advice_assumes():

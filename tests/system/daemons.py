@@ -101,6 +101,11 @@ class Daemon:
         with closing(sqlite3.connect(self.folder / "rsu.sqlite3")) as database:
             return [Stored(*row) for row in database.execute(question)]
 
+    def rows(self, question: str, *values: object) -> list[tuple[Any, ...]]:
+        """Return what its database answers."""
+        with closing(sqlite3.connect(self.folder / "rsu.sqlite3")) as database:
+            return list(database.execute(question, values))
+
     def window_count(self, section_id: str = "long-turn") -> int:
         """Return how many passages its interval counts."""
         interval = self.client.get(f"/v1/sections/{section_id}/friction").json()["interval"]

@@ -11,9 +11,9 @@ from roadgrip.errors import SectionError
 from roadgrip.protocol import HEADER_BYTES
 from roadgrip.section_file import section_from_json
 from roadgrip.sections import packaged_names, read_section
-from rsu_app.section_cli import section_app
-from rsu_app.section_plot import section_panels
-from rsu_app.section_report import curvature_sketch, curves_of, plan_sketch
+from rsu_app.cli.section import section_app
+from rsu_app.cli.section_plot import section_panels
+from rsu_app.cli.section_report import curvature_sketch, curves_of, plan_sketch
 from tests.roadgrip.roads import circle_section
 from tests.rsu_app.road_import.surveys import arc_points, csv_of, wkt_of
 

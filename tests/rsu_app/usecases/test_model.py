@@ -5,6 +5,7 @@ import asyncio
 import pytest
 
 from roadgrip.errors import BundleError, StoreFullError
+from roadgrip.ledger import Action
 from roadgrip.reasons import Reason
 from roadgrip.records import Accepted, AdvisoryReason
 from tests.bundles import make_manifest
@@ -33,14 +34,15 @@ def test_switching_the_model_changes_the_bundle_behind_new_estimates_and_is_writ
         site = Site()
         await site.ingest_many(2)
         candidate = FakeModel(make_manifest(name="newer", weights={"sideslip_mean_rad": 1.0, "steer_mean_rad": 1e-9}))
-        await site.unit.switch_model(candidate)
+        site.unit.switch_model(candidate)
         await site.ingest_many(1, first_seed=10)
         assert site.unit.model_manifest == candidate.manifest
         assert site.store.entries[-1].estimate.bundle_id == candidate.manifest.bundle_id
         assert site.interval().passages_count == 3
-        assert [(event.kind, event.subject) for event in site.store.ledger] == [
-            ("model_live", candidate.manifest.bundle_id)
-        ]
+        await site.unit.catch_up()
+        newest = site.store.ledger_entries[-1]
+        assert (newest.actor, newest.action) == ("unit", Action.LIVE)
+        assert (newest.subject, newest.reason) == (candidate.manifest.bundle_id, "newer")
 
     asyncio.run(story())
 
@@ -50,7 +52,7 @@ def test_a_candidate_that_misses_its_golden_vectors_leaves_the_incumbent_alone()
     candidate = FakeModel()
     candidate.answer_mu = 0.3
     with pytest.raises(BundleError, match="golden"):
-        asyncio.run(site.unit.switch_model(candidate))
+        site.unit.switch_model(candidate)
     assert asyncio.run(site.unit.ingest_passage(make_passage(SECTION))) == Accepted()
     assert asyncio.run(site.unit.readiness()).ready
 
@@ -58,5 +60,49 @@ def test_a_candidate_that_misses_its_golden_vectors_leaves_the_incumbent_alone()
 def test_a_ledger_that_cannot_be_written_does_not_stop_a_model():
     site = Site(without_model=True)
     site.store.error = StoreFullError("the disk is full")
-    asyncio.run(site.unit.switch_model(FakeModel()))
+    site.unit.switch_model(FakeModel())
+    asyncio.run(site.unit.catch_up())
     assert site.unit.model_manifest is not None
+
+
+def told_live(site):
+    return [entry.subject for entry in site.store.ledger_entries if entry.action is Action.LIVE]
+
+
+def test_a_unit_that_restarts_often_says_once_which_model_is_live():
+    async def story():
+        site = Site()
+        for _ in range(5):
+            site = site.restarted()
+            await site.unit.catch_up()
+        assert told_live(site) == [site.model.manifest.bundle_id]
+
+    asyncio.run(story())
+
+
+@pytest.mark.parametrize("action", [Action.SWITCHED, Action.ROLLED_BACK])
+def test_a_model_whose_going_live_was_recorded_as_a_step_is_not_told_again(action):
+    async def story():
+        site = Site()
+        live_id = site.model.manifest.bundle_id
+        await site.store.record(at_unix_s=0.0, actor="anna", action=Action.LIVE, subject="another", reason="")
+        await site.store.record(at_unix_s=0.0, actor="anna", action=action, subject=live_id, reason="")
+        await site.store.record(at_unix_s=0.0, actor="unit", action=Action.INSTALLED, subject="a third", reason="")
+        await site.unit.catch_up()
+        assert told_live(site) == ["another"]
+
+    asyncio.run(story())
+
+
+def test_a_model_that_is_gone_is_told_with_its_reason_and_told_again_when_it_is_back():
+    async def story():
+        site = Site()
+        live_id = site.model.manifest.bundle_id
+        await site.unit.catch_up()
+        without = Site(store=site.store, without_model=True)
+        await without.unit.catch_up()
+        assert "no model" in site.store.ledger_entries[-1].reason
+        await site.restarted().unit.catch_up()
+        assert told_live(site) == [live_id, "", live_id]
+
+    asyncio.run(story())

@@ -5,6 +5,7 @@ import asyncio
 import pytest
 
 from roadgrip.errors import StoreError
+from roadgrip.ledger import Action
 from roadgrip.records import Accepted
 from rsu_app.usecases import UnitLimits
 from tests.rsu_app.fakes import FakeClock, FakeStore, make_passage
@@ -76,11 +77,11 @@ def test_a_unit_whose_disk_is_full_at_the_start_notes_its_model_later():
         site = Site()
         site.store.error = StoreError("the disk is full")
         await site.unit.catch_up()
-        assert site.store.ledger == []
+        assert [entry.action for entry in site.store.ledger_entries] == [Action.LEDGER_BEGUN]
         site.store.error = None
         for _ in range(2):
             await site.unit.catch_up()
-        assert [event.kind for event in site.store.ledger] == ["model_live"]
+        assert [entry.action for entry in site.store.ledger_entries] == [Action.LEDGER_BEGUN, Action.LIVE]
 
     asyncio.run(story())
 

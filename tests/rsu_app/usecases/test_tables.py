@@ -53,7 +53,7 @@ def test_the_unit_announces_what_its_live_bundle_serves(tmp_path, wider_table):
     both = (wider_table.digest, PAPER_TABLE.digest)
     site = Site()
     assert site.unit.map_offer(SECTION.section_id) == MapOffer(SECTION, site.model.manifest.table_digests)
-    asyncio.run(site.unit.switch_model(load_bundle(tmp_path)))
+    site.unit.switch_model(load_bundle(tmp_path))
     assert site.unit.map_offer(SECTION.section_id) == MapOffer(SECTION, both)
 
 
