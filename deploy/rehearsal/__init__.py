@@ -1,0 +1,1 @@
+"""The operators' loop as a play: `make mlops-demo`."""
