@@ -5,7 +5,7 @@ import re
 import subprocess
 from fnmatch import fnmatchcase
 
-from roadgrip.bundle import manifest_from_json
+from roadgrip.bundle_json import manifest_from_json
 from roadgrip.features import NEWEST_TABLE
 from training.bundle_card import CARD_NAME, card_of
 from training.marked_tables import marks_of, with_tables

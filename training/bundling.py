@@ -79,7 +79,7 @@ class TableModel:
         ordinary: Roads and driving it is made for (`training.study.envelopes`); without, the box of the training rows
             decides what is counted.
         section_id: The only section it is for; None for a global model.
-        references: How its training was distributed (`training.reference`); a unit watches its traffic by them.
+        references: How its training was distributed (`training.drift.reference`); a unit watches its traffic by them.
     """
 
     table: FeatureTable

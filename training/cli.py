@@ -9,6 +9,16 @@ Four steps (simulate, fit, export, bundle), each leaving its result on disk, or 
     roadgrip-train export build/fit --out model.onnx  convert, and prove that nothing changed
     roadgrip-train bundle build/runs --fit build/fit --out build/bundle
 
+The operators' loop (docs/operators.md), in a laboratory's folder::
+
+    roadgrip-train data add|join|holdouts             drives with known friction, by their digests
+    roadgrip-train retrain --data winter              a challenger, with its records in mlflow
+    roadgrip-train gate --challenger challenger       hold it against the champion
+    roadgrip-train promote --ring canary --keys K     sign it, publish it
+    roadgrip-train drift EXPORT... --bundle B         say whether it is time to train again
+
+And besides::
+
     roadgrip-train default-bundle                     remake the bundle that comes with roadgrip
     roadgrip-train card build/bundle                  what a bundle is for, learned from, and worth
     roadgrip-train tune-observer                      fit the onboard estimation to a vehicle
@@ -35,8 +45,16 @@ from roadgrip.bundle import BundleManifest
 from roadgrip.errors import RoadgripError
 from roadgrip.features import TABLES, FeatureTable
 from training.cli_bundle import BUNDLE_NAME, card, default_bundle, tools_provenance
+from training.cli_data import data_app
 from training.cli_designs import AsJson, cells, console, designs, progress_bar, simulate
+from training.cli_drift import drift
 from training.cli_evaluate import evaluate
+from training.cli_gate import gate
+from training.cli_ground_truth import ground_truth_app
+from training.cli_keys import keys_app
+from training.cli_ledger import ledger_app
+from training.cli_promote import promote, refresh, repository_app, sign
+from training.cli_retrain import models_app, retrain, ui
 from training.cli_study import study_app
 from training.cli_tune import tune_observer
 from training.dataset import Runs, read_runs
@@ -86,6 +104,10 @@ app.add_typer(study_app)
 app.command()(evaluate)
 app.command()(default_bundle)
 app.command()(card)
+for command in (retrain, gate, promote, sign, refresh, drift, ui):
+    app.command()(command)
+for group in (data_app, ground_truth_app, models_app, keys_app, repository_app, ledger_app):
+    app.add_typer(group)
 
 
 @app.command(name="fit")

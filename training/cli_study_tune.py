@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
 from rich.table import Table
 
 from training.cli_designs import AsJson, console, progress_bar
-from training.study.folds import RANDOM_ROADS_SET
-from training.study.recipes import BEST_RECIPE
-from training.study.tuning import Tuned, document_of, grounds_of, tune
-from training.study.workbench import StudyWorkbench
 from vehicle_client.simulator.plan import SensorGrade
+
+# Trees take seconds to import: they are where they are needed.
+if TYPE_CHECKING:
+    from training.study.tuning import Tuned
 
 DEFAULT_TRIALS_COUNT = 40
 DEFAULT_MINUTES = 30.0
@@ -69,6 +69,11 @@ def tune_recipe(
 
     Example: roadgrip-train study tune --trials 60 --minutes 45
     """
+    from training.study.folds import RANDOM_ROADS_SET
+    from training.study.recipes import BEST_RECIPE
+    from training.study.tuning import document_of, grounds_of, tune
+    from training.study.workbench import StudyWorkbench
+
     folder = work or (DEFAULT_QUICK_WORK if quick else DEFAULT_WORK)
     bench = StudyWorkbench(folder, quick=quick, seed=seed)
     with progress_bar() as bar:

@@ -15,13 +15,13 @@ from typing import Any
 import pytest
 import typer.main
 
-import rsu_app.cli
+import rsu_app.cli.main
 import training.cli
 import vehicle_client.cli
 from tests.system.daemons import Daemon
 
 PROGRAMS: dict[str, Any] = {
-    "roadgrip-rsu": typer.main.get_command(rsu_app.cli.app),
+    "roadgrip-rsu": typer.main.get_command(rsu_app.cli.main.app),
     "roadgrip-vehicle": typer.main.get_command(vehicle_client.cli.app_of()),
     "roadgrip-train": typer.main.get_command(training.cli.app),
 }

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from roadgrip.bundle import BundleManifest, Conformal, manifest_from_json
+from roadgrip.bundle import BundleManifest, Conformal
+from roadgrip.bundle_json import manifest_from_json
 from roadgrip.errors import BundleError
 from roadgrip.features import FEATURE_NAMES, NEWEST_TABLE, PAPER_TABLE, FeatureTable
 from rsu_app.adapters.inference import load_bundle

@@ -5,7 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from roadgrip.bundle import BundleManifest, check_files, manifest_from_json
+from roadgrip.bundle import BundleManifest, check_files
+from roadgrip.bundle_json import manifest_from_json
 from roadgrip.errors import BundleError
 from tests.training.runs import made_up_runs
 from training.bundling import GOLDEN_ROWS_COUNT, learn_envelope, write_bundle

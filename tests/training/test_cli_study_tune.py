@@ -6,8 +6,8 @@ import pytest
 from typer.testing import CliRunner
 
 from tests.training.study.generalise.road_drives import FEW, drives_on_roads
-from training import cli_study_tune
 from training.cli import app
+from training.study import recipes, workbench
 from training.study.recipes import BEST_RECIPE, Recipe
 
 RUNS = drives_on_roads(16)
@@ -27,8 +27,8 @@ class Bench:
 @pytest.fixture(autouse=True)
 def inside(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(cli_study_tune, "StudyWorkbench", Bench)
-    monkeypatch.setattr(cli_study_tune, "BEST_RECIPE", Recipe("best", BEST_RECIPE.features[55:70], FEW))
+    monkeypatch.setattr(workbench, "StudyWorkbench", Bench)
+    monkeypatch.setattr(recipes, "BEST_RECIPE", Recipe("best", BEST_RECIPE.features[55:70], FEW))
     return tmp_path
 
 

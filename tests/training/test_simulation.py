@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 import pytest
 from typer.testing import CliRunner
 
-from roadgrip.bundle import manifest_from_json
+from roadgrip.bundle_json import manifest_from_json
 from roadgrip.features import road_features
 from roadgrip.sections import read_section
 from training.cli import app
