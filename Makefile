@@ -25,7 +25,7 @@ WORKERS ?= 2
 PLACES := roadgrip rsu_app vehicle_client training migrations tests bench deploy
 CODE := $(foreach place,$(PLACES),$(if $(shell find $(place) -name '*.py' -print -quit 2>/dev/null),$(place)))
 
-.PHONY: help setup demo real-input test test-long test-fast coverage check format-check format lint types contracts bench lock \
+.PHONY: help setup demo mlops-demo real-input test test-long test-fast coverage check format-check format lint types contracts bench lock \
         simulator-validation simulator-speed onboard-speed onboard-accuracy live-soak \
         bundle paper-design study study-quick wheel hooks clean
 
@@ -54,6 +54,9 @@ $(STAMP): requirements/bootstrap.txt requirements/dev.txt pyproject.toml
 
 demo: $(STAMP) ## Watch the whole system do its job: vehicles, frames, estimates, interval, advisory (under 3 minutes)
 	@$(BIN)/python deploy/demo/run.py $(ARGS)
+
+mlops-demo: $(STAMP) ## Watch the operators' loop from nothing: train, judge, sign, roll out, roll back (under 6 minutes)
+	@$(BIN)/python -m deploy.rehearsal.run $(ARGS)
 
 real-input: $(STAMP) ## Real roads and a recorded race car through the whole system (needs ../shared/data, or ARGS="--data DIR")
 	@$(BIN)/python -m deploy.demo.real_input $(ARGS)

@@ -7,6 +7,7 @@ lab/
   verdicts/     what the gate said, by the digest of the verdict
   repository/   the signed repository (`training.promotion`)
   ledger.jsonl  what was done to models, an entry a line
+  rings.json    names of the rings in order, where they are not canary and all
 """
 
 from __future__ import annotations

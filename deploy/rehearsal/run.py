@@ -181,7 +181,7 @@ class Rehearsal:
                 passages_count=self.sizes.passages_count,
             )
             self.units.append(unit)
-            self.traffic[ring] = Traffic(unit.url, rng=np.random.default_rng([self.seed, len(self.units)]))
+            self.traffic[ring] = Traffic(unit.url, rng=unit.rng)
             unit.wait_until_ready()
             self._say(f"the unit of ring {ring} answers at {unit.url} with bundle {unit.live_id}")
             self._check(f"the unit of ring {ring} runs the champion", unit.live_id == champion, unit.live_id)

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import httpx
+import numpy as np
 
 from deploy.demo.unit import free_port
 from deploy.rehearsal.commands import RehearsalError
@@ -34,6 +35,7 @@ class Unit:
         repository: Where releases come from.
         trusted_root: What the technician brought.
         passages_count: How long a new bundle is compared, before and after the switch.
+        settings: More lines for `[updates]`; the period in which it looks for releases among them.
     """
 
     def __init__(
@@ -45,9 +47,11 @@ class Unit:
         repository: Path,
         trusted_root: Path,
         passages_count: int,
+        settings: str = "poll_period_s = 1.0\n",
     ) -> None:
         self.ring = ring
         self.folder = folder
+        self.rng = np.random.default_rng(list(ring.encode()))
         folder.mkdir(parents=True)
         port = free_port(socket.SOCK_STREAM)
         self.url = f"http://127.0.0.1:{port}"
@@ -72,8 +76,7 @@ enabled = false
 source = "{repository.resolve()}"
 trusted_root = "{trusted_root.resolve()}"
 ring = "{ring}"
-poll_period_s = 1.0
-shadow_count = {passages_count}
+{settings}shadow_count = {passages_count}
 probation_count = {passages_count}
 judged_from_count = {max(5, passages_count // 3)}
 
