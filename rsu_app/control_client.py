@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from roadgrip.errors import RoadgripError
+from rsu_app.unix_socket import socket_name
 
 TIMEOUT_S = 300.0
 """A release over a slow line takes its time; the unit has limits of its own."""
@@ -26,7 +27,8 @@ class _UnixConnection(http.client.HTTPConnection):
     def connect(self) -> None:
         self.sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         self.sock.settimeout(TIMEOUT_S)
-        self.sock.connect(str(self._path))
+        with socket_name(self._path) as name:
+            self.sock.connect(name)
 
 
 def ask(socket_path: Path, path: str, order: dict[str, Any] | None = None) -> dict[str, Any] | None:

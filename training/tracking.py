@@ -32,6 +32,7 @@ FILES_FOLDER_NAME = "mlflow-files"
 # Read when the library is first imported. A server that is gone shall not hold a study up for minutes, either.
 _SETTINGS = {
     "MLFLOW_DISABLE_TELEMETRY": "true",
+    "MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR": "false",
     "DO_NOT_TRACK": "true",
     "GIT_PYTHON_REFRESH": "quiet",
     "MLFLOW_HTTP_REQUEST_MAX_RETRIES": "2",

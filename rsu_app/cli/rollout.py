@@ -6,9 +6,11 @@ import asyncio
 import getpass
 import json
 import os
+import sys
 from pathlib import Path
 from typing import Annotated, Any
 
+import structlog
 import typer
 from rich.console import Console
 from rich.table import Table
@@ -95,6 +97,8 @@ async def _alone(settings: Settings, path: str, order: dict[str, Any]) -> dict[s
     from rsu_app.adapters.http.control import obey
     from rsu_app.operation import out_of_service
 
+    # What the parts of a unit have to say is no part of the answer.
+    structlog.configure(logger_factory=structlog.PrintLoggerFactory(sys.stderr))
     return await out_of_service(settings, lambda desk: obey(desk, path, order))
 
 

@@ -19,11 +19,10 @@ from pydantic import BaseModel, ConfigDict, Field
 from roadgrip.errors import ConfigurationError
 from roadgrip.release import Release
 from rsu_app.rollout_ports import ReleaseSource, UpdateRefusal
+from rsu_app.unix_socket import socket_name
 from rsu_app.usecases.rollout import Rollout
 
 _SOCKET_MODE = 0o600
-_PATH_LIMIT_BYTES = 100
-"""Linux allows 108 bytes for the name of a socket, its end included."""
 
 
 class _Order(BaseModel):
@@ -153,15 +152,14 @@ def control_socket(path: Path) -> socket.socket:
     Raises:
         ConfigurationError: It cannot be bound, or another unit answers there.
     """
-    if len(str(path).encode()) > _PATH_LIMIT_BYTES:
-        raise ConfigurationError(f"control.socket_path: {path} is longer than {_PATH_LIMIT_BYTES} bytes")
     if _answers(path):
         raise ConfigurationError(f"another unit answers at {path}; two units cannot share a shelf of bundles")
     link = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.unlink(missing_ok=True)
-        link.bind(str(path))
+        with socket_name(path) as name:
+            link.bind(name)
         path.chmod(_SOCKET_MODE)
     except OSError as error:
         link.close()
@@ -173,7 +171,8 @@ def control_socket(path: Path) -> socket.socket:
 def _answers(path: Path) -> bool:
     with contextlib.closing(socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)) as probe:
         try:
-            probe.connect(str(path))
+            with socket_name(path) as name:
+                probe.connect(name)
         except OSError:
             return False
     return True
