@@ -179,6 +179,14 @@ class PassageStore(Protocol):
         """
         ...
 
+    async def compared_count(self, *, bundle_id: str, shadow_bundle_id: str) -> int:
+        """Return for how many stored passages one bundle was live and another answered beside it.
+
+        Raises:
+            StoreError: The database cannot be read.
+        """
+        ...
+
     async def record(
         self,
         *,

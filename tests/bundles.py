@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -184,6 +185,14 @@ def make_bundle_of_tables(
         files[manifest.model_file] = linear_onnx(bias_mu=bias_mu, table=table)
         files[str(manifest.error_model_file)] = error_onnx(table)
     return _written(folder, manifest_of(models, files), files)
+
+
+def make_bundle_with_local(folder: Path, section_id: str, *, global_mu: float, local_mu: float) -> BundleManifest:
+    """Write a bundle with a global model and one for a single section, told apart by what they answer to zeros."""
+    everywhere = make_model(bias_mu=global_mu)
+    here = replace(make_model(bias_mu=local_mu), section_id=section_id, model_file=f"local-{MODEL_NAME}")
+    files = {everywhere.model_file: linear_onnx(bias_mu=global_mu), here.model_file: linear_onnx(bias_mu=local_mu)}
+    return _written(folder, manifest_of([everywhere, here], files), files)
 
 
 def _written(folder: Path, manifest: BundleManifest, files: Mapping[str, bytes]) -> BundleManifest:

@@ -31,6 +31,8 @@ _PARTS = (
     ("- less of it used", "unseen_roads.low_use"),
     ("- less than a third of it used", "unseen_roads.little_use"),
     ("roads never seen, exact sensors", "exact_sensors"),
+    ("own roads, measured", "own_roads"),
+    ("own roads, as if never seen", "own_roads_as_unseen"),
 )
 _GRADES = (
     ("fresh roads, automotive sensors", "fresh_roads_automotive"),

@@ -45,7 +45,7 @@ def drift(
     is no drift; and all against the bundle's training. Exit code 1 if retraining is recommended. docs/drift.md says
     what raises an alarm.
 
-    Example: roadgrip-train drift unit-*.jsonl.gz --bundle build/bundle --out build/drift
+    Example: roadgrip-train drift unit-*.ndjson.gz --bundle build/bundle --out build/drift
     """
     manifest = _manifest(bundle)
     with progress_bar() as bar:

@@ -65,7 +65,8 @@ class Comparison:
 
     Attributes:
         passages_count: Passages that were compared, all in all.
-        failures_count: Passages that the newer bundle left without an answer.
+        fresh_count: Those of them that were compared since the unit started.
+        failures_count: Passages that the newer bundle left without an answer since then.
         both_named_count: Of the newest, those for which both named a friction and count it.
         median_ratio: Median of ln(newer / older) over these; None without any.
         spread_ratio: What nine in ten of its magnitudes stay below; None without any.
@@ -75,6 +76,7 @@ class Comparison:
     """
 
     passages_count: int
+    fresh_count: int
     failures_count: int
     both_named_count: int
     median_ratio: float | None
@@ -97,11 +99,14 @@ class ShadowRecord:
     """Gathers what two bundles made of the same passages.
 
     Attributes:
-        passages_count: Passages that were compared, all in all.
+        earlier_count: Passages that were compared before the unit was started again; they were within the limits, or
+            the comparison would have ended.
+        fresh_count: Passages that were compared since.
         failures_count: Passages that the newer bundle left without an answer.
     """
 
-    passages_count: int = 0
+    earlier_count: int = 0
+    fresh_count: int = 0
     failures_count: int = 0
     _rows: deque[tuple[float, bool, bool, bool, bool]] = field(default_factory=lambda: deque(maxlen=KEPT_COUNT))
     _took_s: deque[float] = field(default_factory=lambda: deque(maxlen=KEPT_COUNT))
@@ -110,7 +115,7 @@ class ShadowRecord:
         """Remember a passage; one that the older bundle did not answer says nothing about the newer."""
         if older.judgement is None:
             return
-        self.passages_count += 1
+        self.fresh_count += 1
         if newer.judgement is None:
             self.failures_count += 1
             return
@@ -127,7 +132,8 @@ class ShadowRecord:
         shares = rows[:, 1:].mean(axis=0) if len(rows) else np.zeros(4)
         known = len(differences) > 0
         return Comparison(
-            passages_count=self.passages_count,
+            passages_count=self.earlier_count + self.fresh_count,
+            fresh_count=self.fresh_count,
             failures_count=self.failures_count,
             both_named_count=len(differences),
             median_ratio=float(np.median(differences)) if known else None,
@@ -147,12 +153,13 @@ def verdict(found: Comparison, policy: ShadowPolicy, *, wanted_count: int) -> tu
         wanted_count: Passages after which it has passed.
     """
     if found.failures_count > policy.failures_limit_count:
-        return Verdict.FAILED, f"{found.failures_count} of {found.passages_count} passages were left without an answer"
-    if found.passages_count >= min(policy.judged_from_count, max(1, wanted_count)):
+        return Verdict.FAILED, f"{found.failures_count} of {found.fresh_count} passages were left without an answer"
+    judged = found.fresh_count >= min(policy.judged_from_count, wanted_count)
+    if judged and found.fresh_count > 0:
         for sentence, beyond in _limits(found, policy):
             if beyond:
-                return Verdict.FAILED, f"{sentence}, over {found.passages_count} passages"
-    if found.passages_count >= wanted_count:
+                return Verdict.FAILED, f"{sentence}, over {found.fresh_count} passages"
+    if judged and found.passages_count >= wanted_count:
         return Verdict.PASSED, f"{found.passages_count} passages within every limit; {told(found)}"
     return Verdict.GO_ON, f"{found.passages_count} of {wanted_count} passages"
 

@@ -177,8 +177,10 @@ class Rollout:
                 model = await self._load(beside)
             except (BundleError, FeatureTableError, StoreError) as error:
                 await self._give_up_comparing(str(error))
-            else:
-                self._unit.begin_shadow(model, newer=self._state.stage is Stage.SHADOW)
+                return
+            self._unit.begin_shadow(
+                model, newer=self._state.stage is Stage.SHADOW, earlier_count=await self._compared_count(model)
+            )
 
     async def look(self, *, actor: str = UNIT) -> Release | UpdateRefusal | None:
         """Return the release that the configured source had news of and that was taken up, None without news."""
@@ -380,6 +382,13 @@ class Rollout:
             await self._reject(f"it cannot be loaded any more: {why}")
         else:
             await self._confirm(f"the bundle before cannot be loaded any more: {why}")
+
+    async def _compared_count(self, beside: FrictionModel) -> int:
+        """Return by how many stored passages the live bundle and another were compared; none if nobody can tell."""
+        try:
+            return await self._store.compared_count(bundle_id=self.live_id, shadow_bundle_id=beside.manifest.bundle_id)
+        except StoreError:
+            return 0
 
     def _probe_is_due(self) -> bool:
         now_s = self._clock.monotonic_s()

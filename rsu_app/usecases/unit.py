@@ -328,14 +328,15 @@ class RoadSideUnit:
         self._watch_drift()
         self.refresh()
 
-    def begin_shadow(self, model: FrictionModel, *, newer: bool) -> None:
+    def begin_shadow(self, model: FrictionModel, *, newer: bool, earlier_count: int = 0) -> None:
         """Ask a model about every passage from now on, beside the live one.
 
         Args:
             model: It; takes the place of one that was asked before.
             newer: Whether it is a candidate, and not the one before.
+            earlier_count: Passages that the two were compared by before the unit was started again.
         """
-        self._shadow = Shadow(model, newer, ShadowRecord())
+        self._shadow = Shadow(model, newer, ShadowRecord(earlier_count))
 
     def end_shadow(self) -> None:
         """Ask the live model alone from now on."""

@@ -132,6 +132,13 @@ class FakeStore:
             for e in wanted[:limit_count]
         ]
 
+    async def compared_count(self, *, bundle_id: str, shadow_bundle_id: str) -> int:
+        estimates = [entry.estimate for entry in self.entries]
+        return sum(
+            (e.bundle_id, e.shadow_bundle_id) == (bundle_id, shadow_bundle_id) and e.shadow_mu is not None
+            for e in estimates
+        )
+
     async def record(
         self,
         *,

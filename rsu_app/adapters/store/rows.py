@@ -92,6 +92,14 @@ def first_passages(
     return [_countable(row) for row in first]
 
 
+def compared_count(connection: Connection, *, bundle_id: str, shadow_bundle_id: str) -> int:
+    """Return for how many passages one bundle was live and another answered beside it. Reads the whole table."""
+    compared = select(func.count()).where(
+        _P.bundle_id == bundle_id, _P.shadow_bundle_id == shadow_bundle_id, _P.shadow_mu.is_not(None)
+    )
+    return int(connection.execute(compared).scalar_one())
+
+
 def passages_count(connection: Connection) -> int:
     """Return how many passages are stored."""
     return int(connection.execute(select(func.count()).select_from(PASSAGES)).scalar_one())

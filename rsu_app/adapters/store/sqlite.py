@@ -162,6 +162,12 @@ class SqlitePassageStore:
             )
         )
 
+    async def compared_count(self, *, bundle_id: str, shadow_bundle_id: str) -> int:
+        """Return for how many stored passages one bundle was live and another answered beside it."""
+        return await self._read(
+            lambda connection: rows.compared_count(connection, bundle_id=bundle_id, shadow_bundle_id=shadow_bundle_id)
+        )
+
     async def record(
         self,
         *,

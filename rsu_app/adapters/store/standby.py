@@ -55,6 +55,11 @@ class StandbyStore:
         store = await self._opened()
         return await store.load_first(section_id=section_id, bundle_id=bundle_id, limit_count=limit_count)
 
+    async def compared_count(self, *, bundle_id: str, shadow_bundle_id: str) -> int:
+        """Return for how many stored passages one bundle was live and another answered beside it."""
+        store = await self._opened()
+        return await store.compared_count(bundle_id=bundle_id, shadow_bundle_id=shadow_bundle_id)
+
     async def record(
         self,
         *,

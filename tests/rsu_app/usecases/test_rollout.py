@@ -356,6 +356,39 @@ def test_a_restart_goes_on_where_the_unit_stood(passages_count):
     asyncio.run(story())
 
 
+def test_restarts_do_not_make_the_shadow_longer_than_it_shall_be():
+    async def story():
+        depot = Depot(policy=replace(POLICY, shadow_count=10))
+        depot.release(1, GOOD)
+        await depot.rollout.look()
+        await depot.drive(6)
+        again = Depot(shelf=depot.shelf, site=depot.site, models=depot.models, policy=replace(POLICY, shadow_count=10))
+        again.seed = 500
+        await again.rollout.resume()
+        await again.drive(POLICY.judged_from_count)
+        assert again.stage is Stage.SHADOW
+        await again.drive(1)
+        assert again.live_id == GOOD_ID
+
+    asyncio.run(story())
+
+
+def test_after_a_restart_limits_are_judged_by_fresh_passages():
+    async def story():
+        depot = Depot()
+        depot.release(1, GOOD)
+        await depot.rollout.look()
+        await depot.drive(POLICY.shadow_count - 1)
+        again = depot.restarted()
+        await again.rollout.resume()
+        await again.drive(POLICY.judged_from_count - 1)
+        assert again.live_id != GOOD_ID
+        await again.drive(1)
+        assert again.live_id == GOOD_ID
+
+    asyncio.run(story())
+
+
 def test_a_live_bundle_that_was_damaged_on_the_disk_gives_way_to_the_one_before():
     async def story():
         depot = Depot()

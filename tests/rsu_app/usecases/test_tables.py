@@ -8,14 +8,14 @@ from math import exp
 import numpy as np
 import pytest
 
-from roadgrip.features import PAPER_TABLE
+from roadgrip.features import NEWEST_TABLE, PAPER_TABLE
 from roadgrip.reasons import Reason
 from roadgrip.records import MapOffer, NotCounted, Rejected
 from rsu_app.adapters.inference import load_bundle
 from rsu_app.ports import Estimates
-from tests.bundles import CONFORMAL, make_bundle_of_tables, make_manifest
+from tests.bundles import CONFORMAL, make_bundle_of_tables, make_bundle_with_local, make_manifest
 from tests.rsu_app.fakes import FakeModel, make_passage
-from tests.rsu_app.usecases.site import SECTION, Site, flags_of, reason_of
+from tests.rsu_app.usecases.site import OTHER, SECTION, Site, flags_of, reason_of
 
 
 class ErrorModel(FakeModel):
@@ -46,6 +46,16 @@ def test_each_summary_is_read_by_the_model_for_its_own_table(tmp_path, wider_tab
         asyncio.run(site.unit.ingest_passage(make_passage(SECTION, seed=seed, table=table)))
     estimates = [entry.estimate.mu for entry in site.store.entries]
     assert estimates == pytest.approx([0.7, 0.3], abs=1e-5)
+
+
+def test_a_section_with_a_model_of_its_own_is_judged_by_it_and_any_other_by_the_global_one(tmp_path):
+    make_bundle_with_local(tmp_path, OTHER.section_id, global_mu=0.5, local_mu=0.4)
+    site = Site(model=load_bundle(tmp_path))
+    for section, seed in ((SECTION, 1), (OTHER, 2)):
+        asyncio.run(site.unit.ingest_passage(make_passage(section, seed=seed, mu=0.5)))
+    estimates = [entry.estimate.mu for entry in site.store.entries]
+    assert estimates == pytest.approx([0.5, 0.4], abs=1e-5)
+    assert site.unit.table_digests == (NEWEST_TABLE.digest,)
 
 
 def test_the_unit_announces_what_its_live_bundle_serves(tmp_path, wider_table):

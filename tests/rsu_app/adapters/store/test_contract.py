@@ -69,6 +69,50 @@ def test_what_is_loaded_has_the_values_that_were_judged(run):
     run(story)
 
 
+def judged(seed, *, bundle_id, left_unix_s=NOON_UNIX_S, shadow_bundle_id=None, shadow_mu=None):
+    entry = make_entry(seed)
+    changes = {
+        "bundle_id": bundle_id,
+        "left_unix_s": left_unix_s,
+        "shadow_bundle_id": shadow_bundle_id,
+        "shadow_mu": shadow_mu,
+    }
+    return replace(entry, estimate=replace(entry.estimate, **changes))
+
+
+def test_the_first_passages_under_a_bundle_are_given_in_the_order_in_which_vehicles_left(run):
+    late, early, middle = (
+        judged(seed, bundle_id="a", left_unix_s=NOON_UNIX_S + s) for seed, s in ((1, 9), (2, 1), (3, 5))
+    )
+
+    async def story(store):
+        for entry in (late, early, middle, judged(4, bundle_id="b")):
+            await store.append(entry)
+        first = await store.load_first(section_id=SECTION.section_id, bundle_id="a", limit_count=2)
+        assert [passage.estimate for passage in first] == [early.estimate, middle.estimate]
+        assert await store.load_first(section_id="elsewhere", bundle_id="a", limit_count=2) == []
+
+    run(story)
+
+
+def test_passages_that_two_bundles_answered_are_counted(run):
+    entries = [
+        judged(1, bundle_id="a", shadow_bundle_id="b", shadow_mu=0.4),
+        judged(2, bundle_id="a", shadow_bundle_id="b", shadow_mu=0.5),
+        judged(3, bundle_id="a", shadow_bundle_id="b"),
+        judged(4, bundle_id="b", shadow_bundle_id="a", shadow_mu=0.5),
+        judged(5, bundle_id="a"),
+    ]
+
+    async def story(store):
+        for entry in entries:
+            await store.append(entry)
+        assert await store.compared_count(bundle_id="a", shadow_bundle_id="b") == 2
+        assert await store.compared_count(bundle_id="b", shadow_bundle_id="a") == 1
+
+    run(story)
+
+
 def test_pruning_forgets_ids_and_values_with_the_passage(run):
     entries = [make_entry(seed, received_unix_s=NOON_UNIX_S + seed) for seed in range(4)]
 
