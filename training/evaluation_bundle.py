@@ -88,7 +88,8 @@ def judge_of(bundle: Bundle) -> Judge:
             places = [
                 i
                 for i, (summary, section) in enumerate(offered)
-                if summary is not None
+                if answers[i] is _UNASKED
+                and summary is not None
                 and bundle.manifest.model_for(summary.table_digest, section_id=section.section_id) is model
             ]
             table = TABLES[model.table_digest]

@@ -16,6 +16,7 @@ from roadgrip.units import KPH_PER_MPS, FloatArray
 from training.evaluation import Evaluation
 from training.evaluation_figures import EvaluatedPassage, band_of
 from training.evaluation_report import PASSAGE_COLUMNS
+from training.report.html_table import html_table
 from vehicle_client.estimation.trace import Trace
 from vehicle_client.pipeline import Summarised
 
@@ -75,13 +76,13 @@ def page_of(document: Mapping[str, Any], evaluation: Evaluation, shown: ShownPas
     parts = [
         f"<h1>{escape(bundle['name'])} {escape(bundle['bundle_id'])} on recorded drives</h1>",
         f"<p>Vehicle: {escape(document['vehicle'])}. Sections, in the order in which they were tried: {tried}.</p>",
-        _table(("what became of the drives", "number"), list(document["endings"].items())),
-        _table(("refused", "number"), list(document["refusals"].items())),
+        html_table(("what became of the drives", "number"), list(document["endings"].items())),
+        html_table(("refused", "number"), list(document["refusals"].items())),
         *(_errors_table(document[key], title) for key, title in _ERROR_TABLES),
         _intervals_table(document["intervals"]),
         *(picture.to_html(full_html=False, include_plotlyjs=number == 0) for number, picture in enumerate(pictures)),
         '<h2>Every drive</h2><div class="wide">',
-        _table(PASSAGE_COLUMNS, [[each[name] for name in PASSAGE_COLUMNS] for each in document["passages"]]),
+        html_table(PASSAGE_COLUMNS, [[each[name] for name in PASSAGE_COLUMNS] for each in document["passages"]]),
         "</div>",
     ]
     head = f'<meta charset="utf-8"><title>Evaluation of {escape(bundle["bundle_id"])}</title><style>{_STYLE}</style>'
@@ -196,7 +197,7 @@ def _errors_table(errors: Mapping[str, Mapping[str, Any]], title: str) -> str:
     rows = [
         [name, each["passages_count"], *(f"{100.0 * each[key]:.2f}" for key in keys)] for name, each in errors.items()
     ]
-    return _table(head, rows)
+    return html_table(head, rows)
 
 
 def _intervals_table(intervals: Sequence[Mapping[str, Any]]) -> str:
@@ -227,26 +228,8 @@ def _intervals_table(intervals: Sequence[Mapping[str, Any]]) -> str:
                 _per_cent(each["labels_inside_frac"]),
             ]
         )
-    return _table(head, rows)
+    return html_table(head, rows)
 
 
 def _per_cent(ratio: float | None) -> str | None:
     return None if ratio is None else f"{100.0 * ratio:.1f}"
-
-
-def _table(head: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
-    if not rows:
-        return ""
-    titles = "".join(f"<th>{escape(title)}</th>" for title in head)
-    lines = "".join(f"<tr>{''.join(map(_cell, row))}</tr>\n" for row in rows)
-    return f"<table><tr>{titles}</tr>\n{lines}</table>"
-
-
-def _cell(value: Any) -> str:
-    if value is None:
-        return "<td></td>"
-    if isinstance(value, float):
-        return f'<td class="number">{value:.4g}</td>'
-    if isinstance(value, int):
-        return f'<td class="number">{value}</td>'
-    return f"<td>{escape(', '.join(value) if isinstance(value, list) else str(value))}</td>"

@@ -11,8 +11,6 @@ from __future__ import annotations
 import asyncio
 import os
 import shutil
-import signal
-import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,7 +22,7 @@ from rich.console import Console
 from deploy.demo.story import Check, Story
 from deploy.demo.terminal import LiveView, PlainView, View, checks_table
 from deploy.demo.unit import DemoError, UnitFiles, UnitProcess, check_settings, migrate, write_config
-from roadgrip.errors import RoadgripError
+from deploy.playing import run_play
 from roadgrip.sections import read_section
 from vehicle_client.shell.fleet import FleetPlan, FleetTools, FrictionChange, run_fleet, simulator
 from vehicle_client.shell.keys import Keys
@@ -44,7 +42,6 @@ FAULTS = AirFaults(lost_frac=0.05, doubled_frac=0.02, delayed_frac=0.03, spoiled
 ARRIVALS_PER_HOUR = 100.0
 LOOK_WALL_S = 0.3
 """How often the unit is asked what it publishes."""
-USAGE_ERROR = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -279,20 +276,9 @@ def demo(  # noqa: PLR0917 - typer reads options by name
     raise typer.Exit(0 if kept else 1)
 
 
-def _leave(number: int, _: object) -> None:
-    """Leave through every `finally`, so that the unit stops too."""
-    sys.exit(128 + number)
-
-
 def main() -> None:
-    """Run the demo; what cannot be is one line and exit code 2, never a traceback."""
-    for number in (signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, _leave)
-    try:
-        app()
-    except RoadgripError as error:
-        print(f"demo: {error}", file=sys.stderr)
-        sys.exit(USAGE_ERROR)
+    """Run the play."""
+    run_play(app, name="demo")
 
 
 if __name__ == "__main__":

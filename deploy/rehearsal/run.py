@@ -10,8 +10,6 @@ from __future__ import annotations
 
 import json
 import shutil
-import signal
-import sys
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -27,16 +25,15 @@ from rich.console import Console
 from rich.table import Table
 
 from deploy.demo.story import Check
+from deploy.playing import run_play
 from deploy.rehearsal.commands import Operator, RehearsalError
 from deploy.rehearsal.traffic import SECTION, Drive, Traffic, drives_of
 from deploy.rehearsal.units import Unit
-from roadgrip.errors import RoadgripError
 
 FOLDER = Path("build") / "mlops-demo"
 MARK = "rehearsal"
 """A folder that holds this file, or nothing, may be emptied for a new run."""
 THRESHOLDS = Path(__file__).with_name("thresholds.toml")
-USAGE_ERROR = 2
 DRY_MU, DRY_FROM_MU, ICY_MU = 0.6, 0.5, 0.25
 TRAILER_SD_MU = 0.02
 LAB = "lab"
@@ -364,20 +361,9 @@ def rehearse(
     raise typer.Exit(0 if kept else 1)
 
 
-def _leave(number: int, _: object) -> None:
-    """Leave through every `finally`, so that units stop too."""
-    sys.exit(128 + number)
-
-
 def main() -> None:
-    """Run the rehearsal; what cannot be is one line and exit code 2, never a traceback."""
-    for number in (signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, _leave)
-    try:
-        app()
-    except RoadgripError as error:
-        print(f"mlops-demo: {error}", file=sys.stderr)
-        sys.exit(USAGE_ERROR)
+    """Run the play."""
+    run_play(app, name="mlops-demo")
 
 
 if __name__ == "__main__":

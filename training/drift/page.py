@@ -9,6 +9,8 @@ from typing import Any
 
 import plotly.graph_objects as go
 
+from training.report.html_table import html_table
+
 _MUTED = "#9a9a9a"
 _COLOURS = {"keep": "#2a7f3f", "watch": "#b8860b", "retrain": "#b03030"}
 _SHOWN_FEATURES_COUNT = 25
@@ -44,10 +46,10 @@ def page_of(document: Mapping[str, Any]) -> str:
         f'<p>Advice: <span class="advice" style="background: {_COLOURS[advice]}">{escape(advice)}</span></p>',
         f"<ul>{reasons}</ul>",
         f"<p>Passages {_span(document)}, in periods of {days:g} days that end with the last passage.</p>",
-        _table(("left out", "passages"), [[why.replace("_", " "), n] for why, n in document["left_out"].items()]),
+        html_table(("left out", "passages"), [[why.replace("_", " "), n] for why, n in document["left_out"].items()]),
         "<h2>Sections in their latest period</h2>",
         '<div class="wide">',
-        _table(_SECTION_HEAD, [_section_row(each) for each in sections]),
+        html_table(_SECTION_HEAD, [_section_row(each) for each in sections]),
         "</div>",
         *(picture.to_html(full_html=False, include_plotlyjs=number == 0) for number, picture in enumerate(pictures)),
         "<h2>All sections together against the training on all roads</h2>",
@@ -153,7 +155,7 @@ def _pooled(pooled: Mapping[str, Any]) -> str:
         for each in [training["estimate"], *training["worst"]]
     ]
     head = ("feature", "population stability index", "Kolmogorov-Smirnov distance", "moved")
-    return f"{title}{_table(head, rows)}"
+    return f"{title}{html_table(head, rows)}"
 
 
 def _own_drifted(period: Mapping[str, Any]) -> float | None:
@@ -175,21 +177,3 @@ def _name(section: Mapping[str, Any]) -> str:
 
 def _moment(unix_s: float) -> str:
     return datetime.fromtimestamp(unix_s, tz=UTC).strftime("%Y-%m-%d %H:%M")
-
-
-def _table(head: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
-    if not rows:
-        return ""
-    titles = "".join(f"<th>{escape(title)}</th>" for title in head)
-    lines = "".join(f"<tr>{''.join(map(_cell, row))}</tr>\n" for row in rows)
-    return f"<table><tr>{titles}</tr>\n{lines}</table>"
-
-
-def _cell(value: Any) -> str:
-    if value is None:
-        return "<td></td>"
-    if isinstance(value, float | int):
-        return (
-            f'<td class="number">{value:.4g}</td>' if isinstance(value, float) else f'<td class="number">{value}</td>'
-        )
-    return f"<td>{escape(str(value))}</td>"
