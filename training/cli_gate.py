@@ -122,8 +122,11 @@ def resolve(lab: Laboratory, ref: str, *, trees: Path | None = None) -> Contende
         raise ConfigurationError(f"there are no trees in {trees}: it is no folder")
     if Path(ref).is_dir():
         return read_contender(Path(ref), trees_folder=trees)
-    from training.retraining.registry import registered
+    from training.retraining.registry import ADDRESS_VARIABLE, registered
+    from training.tracking import DATABASE_FILE_NAME
 
+    if ADDRESS_VARIABLE not in os.environ and not (lab.folder / DATABASE_FILE_NAME).exists():
+        raise ConfigurationError(f"there is no bundle in a folder {ref}, and no register of models in {lab.folder}")
     found = registered(lab, ref)
     return read_contender(found.folder, trees_folder=trees or found.trees_folder)
 

@@ -98,7 +98,7 @@ async def _alone(settings: Settings, path: str, order: dict[str, Any]) -> dict[s
     from rsu_app.operation import out_of_service
 
     # What the parts of a unit have to say is no part of the answer.
-    structlog.configure(logger_factory=structlog.PrintLoggerFactory(sys.stderr))
+    structlog.configure(logger_factory=lambda *_: structlog.PrintLogger(sys.stderr))
     return await out_of_service(settings, lambda desk: obey(desk, path, order))
 
 

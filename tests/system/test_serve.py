@@ -147,7 +147,7 @@ def test_a_unit_without_its_bundle_serves_the_winter_speed_and_is_not_ready(tmp_
         readiness = daemon.client.get("/health/ready")
         assert (readiness.status_code, readiness.json()["ready"]) == (503, False)
         assert daemon.client.get("/v1/sections/long-turn/advisory").json()["reason"] == "winter_speed_no_model"
-        assert any(line["event"] == "model_unusable" for line in daemon.lines())
+        assert any(line["event"] == "bundle_unusable" for line in daemon.lines())
 
 
 def test_a_taken_port_is_one_line_and_exit_code_2(tmp_path):

@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from roadgrip.features import NEWEST_TABLE
 from roadgrip.records import NotCounted
@@ -50,7 +51,11 @@ def test_a_combination_no_driver_has_is_seen_through_the_bundle_and_not_by_the_b
     )
     write_models([made], tmp_path, name="test", metrics={}, provenance={}, rng=np.random.default_rng(3))
     model = load_bundle(tmp_path).manifest.models[0]
-    assert model.ordinary == ordinary
+    assert model.ordinary is not None
+    assert model.ordinary.road == ordinary.road
+    assert np.array(model.ordinary.driving.whitening_ratio) == pytest.approx(
+        np.array(ordinary.driving.whitening_ratio), rel=1e-6, abs=1e-6
+    )
     assert np.mean([envelope_flag(row, model) == NotCounted.OUT_OF_ENVELOPE for row in rows]) < 0.08
     box_alone = replace(model, ordinary=None)
     usual = next(row for row in rows if envelope_flag(row, box_alone) == NotCounted.NONE)
