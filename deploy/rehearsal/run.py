@@ -58,7 +58,7 @@ class Sizes:
     champion: str = "--runs 2 --random-roads 12 --random-runs 1"
     more: str = "--runs 6 --random-roads 36 --random-runs 1"
     holdouts: str = "--runs 4 --random-roads 20"
-    traffic: str = "--runs 90"
+    traffic: str = "--runs 60"
     trees: str = "--trees 120 --depth 5"
     measured_count: int = 40
     passages_count: int = 20
@@ -66,9 +66,9 @@ class Sizes:
 
 FULL = Sizes()
 QUICK = Sizes(
-    more="--runs 4 --random-roads 24 --random-runs 1",
+    more="--runs 3 --random-roads 20 --random-runs 1",
     holdouts="--runs 4 --random-roads 12",
-    traffic="--runs 70",
+    traffic="--runs 40",
     trees="--trees 60 --depth 5",
     measured_count=30,
     passages_count=15,
