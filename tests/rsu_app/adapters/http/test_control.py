@@ -11,7 +11,7 @@ from roadgrip.errors import ConfigurationError
 from rsu_app.adapters.http.control import ControlDesk, control_socket, create_control_app, obey
 from rsu_app.rollout_ports import UpdateReason, UpdateRefusal
 from tests.rsu_app.fakes import FakeSource
-from tests.rsu_app.usecases.test_rollout import GOOD, GOOD_ID, Depot
+from tests.rsu_app.usecases.depot import GOOD, GOOD_ID, Depot
 
 
 def desk_of(depot: Depot, handed: FakeSource | None = None) -> ControlDesk:
