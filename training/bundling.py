@@ -25,10 +25,13 @@ from roadgrip.bundle_json import manifest_from_json, manifest_to_json
 from roadgrip.errors import BundleError
 from roadgrip.features import FeatureTable
 from roadgrip.units import FloatArray
+from training.bundle_card import card_of
 from training.dataset import Runs
 from training.export import check_parity, onnx_estimate_mu, parity_rows, to_onnx
 from training.regressor import Fitted
 
+CARD_FILE_NAME = "card.md"
+"""What the bundle is for, what it learned from and how good it is, for whoever opens its folder."""
 GOLDEN_ROWS_COUNT = 32
 ENVELOPE_TAIL_FRAC = 0.001
 ENVELOPE_MARGIN_FRAC = 0.05
@@ -179,6 +182,9 @@ def write_models(
         provenance=dict(provenance),
         files_sha256=files_sha256,
     )
+    card = f"# {name}\n\n{card_of(written)}".encode()
+    files[CARD_FILE_NAME] = card
+    written = replace(written, files_sha256={**files_sha256, CARD_FILE_NAME: hashlib.sha256(card).hexdigest()})
     text = manifest_to_json(written)
     manifest_from_json(text)
     folder.mkdir(parents=True, exist_ok=True)

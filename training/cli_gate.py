@@ -96,6 +96,7 @@ def gate(
         )
         bar.update(task, description="judged", completed=1, total=1)
     folder = keep_verdict(laboratory, verdict, out=out)
+    attach_verdict(laboratory, verdict, folder)
     if as_json:
         typer.echo((folder / VERDICT_NAME).read_text(encoding="utf-8"), nl=False)
     else:
@@ -122,10 +123,9 @@ def resolve(lab: Laboratory, ref: str, *, trees: Path | None = None) -> Contende
         raise ConfigurationError(f"there are no trees in {trees}: it is no folder")
     if Path(ref).is_dir():
         return read_contender(Path(ref), trees_folder=trees)
-    from training.retraining.registry import ADDRESS_VARIABLE, registered
-    from training.tracking import DATABASE_FILE_NAME
+    from training.retraining.registry import registered
 
-    if ADDRESS_VARIABLE not in os.environ and not (lab.folder / DATABASE_FILE_NAME).exists():
+    if not _has_register(lab):
         raise ConfigurationError(f"there is no bundle in a folder {ref}, and no register of models in {lab.folder}")
     found = registered(lab, ref)
     return read_contender(found.folder, trees_folder=trees or found.trees_folder)
@@ -159,6 +159,33 @@ def keep_verdict(lab: Laboratory, verdict: Verdict, *, out: Path | None = None) 
         now_unix_s=verdict.made_unix_s,
     )
     return folder
+
+
+def attach_verdict(lab: Laboratory, verdict: Verdict, folder: Path) -> None:
+    """Keep the verdict and its page with the run that made the challenger, if the register knows it.
+
+    Args:
+        lab: Whose register.
+        verdict: What was said.
+        folder: Where it lies.
+    """
+    if not _has_register(lab):
+        return
+    from training.gate.verdict import verdict_digest
+    from training.retraining.registry import attach, models
+
+    words = {"gate": "passed" if verdict.passed else "not passed", "gate.verdict": verdict_digest(verdict)}
+    for model in models(lab):
+        if model.bundle_id == verdict.challenger:
+            attach(lab, model.version, [folder / VERDICT_NAME, folder / PAGE_NAME], words)
+
+
+def _has_register(lab: Laboratory) -> bool:
+    """Return whether there is a register of models; looking into one that is not would make it."""
+    from training.retraining.registry import ADDRESS_VARIABLE
+    from training.tracking import DATABASE_FILE_NAME
+
+    return ADDRESS_VARIABLE in os.environ or (lab.folder / DATABASE_FILE_NAME).exists()
 
 
 def _write_whole(path: Path, text: str) -> None:

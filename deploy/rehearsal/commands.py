@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 import json
-import os
 import shlex
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from deploy.rehearsal.warm import WarmPrograms
 from roadgrip.errors import RoadgripError
-
-_MODULES = {"roadgrip-train": "training", "roadgrip-rsu": "rsu_app"}
 
 
 class RehearsalError(RoadgripError):
@@ -54,11 +50,13 @@ class Operator:
     Attributes:
         folder: Where.
         show: Told of every line.
+        programs: Run them.
         took_s: How long each command took, with its words.
     """
 
     folder: Path
     show: Callable[[str], None]
+    programs: WarmPrograms
     took_s: list[tuple[str, float]] = field(default_factory=list)
 
     def types(self, line: str, *, expected: tuple[int, ...] = (0,)) -> Said:
@@ -72,16 +70,8 @@ class Operator:
             RehearsalError: It ended with another code.
         """
         self.show(f"$ {line}")
-        program, *words = shlex.split(line)
         started_s = time.monotonic()
-        done = subprocess.run(
-            [sys.executable, "-m", _MODULES[program], *words],
-            cwd=self.folder,
-            env={**os.environ, "COLUMNS": "140", "MLFLOW_DISABLE_TELEMETRY": "true"},
-            capture_output=True,
-            text=True,
-            check=False,
-        )
+        done = self.programs.run(shlex.split(line), folder=self.folder, environment={"COLUMNS": "140"})
         self.took_s.append((line, time.monotonic() - started_s))
         if done.returncode not in expected:
             last = (done.stderr.strip() or done.stdout.strip()).splitlines()[-12:]

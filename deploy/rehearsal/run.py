@@ -29,6 +29,7 @@ from deploy.playing import run_play
 from deploy.rehearsal.commands import Operator, RehearsalError
 from deploy.rehearsal.traffic import SECTION, Drive, Traffic, drives_of
 from deploy.rehearsal.units import Unit
+from deploy.rehearsal.warm import WarmPrograms
 
 FOLDER = Path("build") / "mlops-demo"
 MARK = "rehearsal"
@@ -68,7 +69,7 @@ FULL = Sizes()
 QUICK = Sizes(
     more="--runs 3 --random-roads 20 --random-runs 1",
     holdouts="--runs 4 --random-roads 12",
-    traffic="--runs 40",
+    traffic="--runs 44",
     trees="--trees 60 --depth 5",
     measured_count=30,
     passages_count=15,
@@ -97,10 +98,11 @@ class Rehearsal:
         folder: Where everything is left.
         sizes: How much of everything.
         console: Where it is told.
+        programs: Run the commands.
         seed: Of everything random.
     """
 
-    def __init__(self, folder: Path, sizes: Sizes, console: Console, *, seed: int) -> None:
+    def __init__(self, folder: Path, sizes: Sizes, console: Console, *, programs: WarmPrograms, seed: int) -> None:
         self.folder = folder
         self.sizes = sizes
         self.seed = seed
@@ -108,7 +110,7 @@ class Rehearsal:
         self.units: list[Unit] = []
         self.traffic: dict[str, Traffic] = {}
         self.operator = Operator(
-            folder, lambda line: console.print(line, style="cyan", highlight=False, soft_wrap=True)
+            folder, lambda line: console.print(line, style="cyan", highlight=False, soft_wrap=True), programs
         )
         self._console = console
         self._started_s = time.monotonic()
@@ -347,8 +349,9 @@ def rehearse(
     """Watch the operators' loop: train, judge, sign, roll out, watch, roll back."""
     console = Console()
     prepare_folder(folder)
-    rehearsal = Rehearsal(folder.resolve(), QUICK if quick else FULL, console, seed=seed)
-    kept = rehearsal.play()
+    with WarmPrograms() as programs:
+        rehearsal = Rehearsal(folder.resolve(), QUICK if quick else FULL, console, programs=programs, seed=seed)
+        kept = rehearsal.play()
     table = Table("promise", "kept", "found", title="What was promised")
     for check in rehearsal.checks:
         table.add_row(check.promise, "yes" if check.kept else "NO", check.detail)

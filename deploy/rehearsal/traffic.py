@@ -20,7 +20,7 @@ from training.dataset import Runs, read_runs
 
 SECTION = "long-turn"
 PATIENCE_S = 30.0
-BREATH_S = 0.15
+BREATH_S = 0.3
 """Between two vehicles: a unit beside a road has other things to do, too."""
 
 

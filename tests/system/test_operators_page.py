@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import os
 import re
+import shlex
 import shutil
 import subprocess
-import sys
 import time
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -15,6 +14,7 @@ import pytest
 
 from deploy.rehearsal.traffic import Traffic, drives_of
 from deploy.rehearsal.units import Unit
+from deploy.rehearsal.warm import PROGRAMS, WarmPrograms
 from tests.system.test_documented_commands import blocks
 
 pytest.importorskip("mlflow")
@@ -35,8 +35,9 @@ SERVED = {"roadgrip-rsu serve", "roadgrip-train ui"}
 class Year:
     """Runs the page line by line in one folder."""
 
-    def __init__(self, folder: Path, root: Path) -> None:
+    def __init__(self, folder: Path, root: Path, programs: WarmPrograms) -> None:
         self.folder = folder
+        self._programs = programs
         self.ran: list[str] = []
         self._thresholds = root / "deploy" / "rehearsal" / "thresholds.toml"
 
@@ -45,19 +46,12 @@ class Year:
         for said, meant in SMALL.items():
             small = small.replace(said, meant)
         small = small.replace("THRESHOLDS", str(self._thresholds))
-        done = subprocess.run(
-            ["bash", "-euo", "pipefail", "-c", small],
-            cwd=self.folder,
-            env={
-                **os.environ,
-                "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}",
-                "ROADGRIP_CONFIG": "canary-unit/rsu.toml",
-                "COLUMNS": "150",
-            },
-            capture_output=True,
-            text=True,
-            check=False,
-        )
+        words = shlex.split(small)
+        if words[0] in PROGRAMS:
+            environment = {"ROADGRIP_CONFIG": "canary-unit/rsu.toml", "COLUMNS": "150"}
+            done = self._programs.run(words, folder=self.folder, environment=environment)
+        else:
+            done = subprocess.run(words, cwd=self.folder, capture_output=True, text=True, check=False)
         assert done.returncode in expected, f"{small}\n{done.stdout}{done.stderr}"
         self.ran.append(line)
         return done.stdout
@@ -78,14 +72,19 @@ def lines_of(page: Path) -> list[str]:
 def test_the_operator_s_year_goes_as_the_page_says(project_root, tmp_path):
     page = project_root / "docs" / "operators.md"
     lines = lines_of(page)
-    year = Year(tmp_path, project_root)
+    with WarmPrograms() as programs:
+        live_through(Year(tmp_path, project_root, programs), lines, root=project_root)
+
+
+def live_through(year: Year, lines: list[str], *, root: Path) -> None:
+    tmp_path = year.folder
     rest = year.until(lines, "roadgrip-rsu config check")
     year.run("roadgrip-train simulate --section long-turn --sensors automotive --runs 20 --seed 9 --out traffic")
     drives = drives_of(tmp_path / "traffic")
     unit = Unit(
         tmp_path / "canary-unit",
         ring="canary",
-        factory=project_root / "rsu_app" / "default_bundle",
+        factory=root / "rsu_app" / "default_bundle",
         repository=tmp_path / "lab" / "repository",
         trusted_root=tmp_path / "lab" / "repository" / "trusted-root.json",
         passages_count=10,

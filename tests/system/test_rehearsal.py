@@ -12,6 +12,7 @@ import pytest
 
 from deploy.rehearsal.commands import Operator, RehearsalError, Said
 from deploy.rehearsal.run import MARK, prepare_folder
+from deploy.rehearsal.warm import WarmPrograms
 
 pytest.importorskip("mlflow")
 ROOT = Path(__file__).parents[2]
@@ -36,6 +37,7 @@ def test_the_operators_loop_goes_as_promised(tmp_path):
     assert acts.count("promoted") == 5
     assert (lab / "mlflow.db").exists()
     assert len(list(lab.glob("verdicts/*/verdict.html"))) == 2
+    assert len(list(lab.glob("mlflow-files/**/verdicts/verdict.html"))) == 2
 
 
 def test_only_what_a_rehearsal_left_is_thrown_away(tmp_path):
@@ -50,10 +52,13 @@ def test_only_what_a_rehearsal_left_is_thrown_away(tmp_path):
 
 def test_a_command_that_fails_is_shown_with_what_it_said(tmp_path):
     shown: list[str] = []
-    operator = Operator(tmp_path, shown.append)
-    with pytest.raises(RehearsalError, match="code 2"):
-        operator.types("roadgrip-train data show nothing --lab lab")
-    assert shown == ["$ roadgrip-train data show nothing --lab lab"]
+    with WarmPrograms() as programs:
+        operator = Operator(tmp_path, shown.append, programs)
+        with pytest.raises(RehearsalError, match="code 2"):
+            operator.types("roadgrip-train data show nothing --lab lab")
+        told = operator.types("roadgrip-rsu --version").text
+    assert shown == ["$ roadgrip-train data show nothing --lab lab", "$ roadgrip-rsu --version"]
+    assert told.startswith("roadgrip ")
 
 
 def test_the_json_of_a_command_is_found_behind_its_progress():

@@ -9,7 +9,8 @@ from roadgrip.bundle import BundleManifest, check_files
 from roadgrip.bundle_json import manifest_from_json
 from roadgrip.errors import BundleError
 from tests.training.runs import made_up_runs
-from training.bundling import GOLDEN_ROWS_COUNT, learn_envelope, write_bundle
+from training.bundle_card import card_of
+from training.bundling import CARD_FILE_NAME, GOLDEN_ROWS_COUNT, learn_envelope, write_bundle
 from training.export import onnx_estimate_mu, to_onnx
 from training.fit_parameters import FitParameters
 from training.regressor import Fitted, fit
@@ -35,10 +36,15 @@ def bundle(fitted: Fitted, tmp_path_factory: pytest.TempPathFactory) -> tuple[Pa
     return folder, bundled(fitted, folder)
 
 
+def files_in(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir() if path.name != "manifest.json"}
+
+
 def test_a_bundle_reads_back_as_it_was_written(bundle: tuple[Path, BundleManifest]) -> None:
     folder, manifest = bundle
     assert manifest_from_json((folder / "manifest.json").read_text()) == manifest
-    check_files(manifest, {MODEL_FILE: (folder / MODEL_FILE).read_bytes()})
+    check_files(manifest, files_in(folder))
+    assert set(files_in(folder)) == {MODEL_FILE, CARD_FILE_NAME}
 
 
 def test_one_flipped_bit_in_the_model_is_seen(bundle: tuple[Path, BundleManifest]) -> None:
@@ -46,7 +52,12 @@ def test_one_flipped_bit_in_the_model_is_seen(bundle: tuple[Path, BundleManifest
     content = bytearray((folder / MODEL_FILE).read_bytes())
     content[len(content) // 2] ^= 1
     with pytest.raises(BundleError, match="differs from its digest"):
-        check_files(manifest, {MODEL_FILE: bytes(content)})
+        check_files(manifest, {**files_in(folder), MODEL_FILE: bytes(content)})
+
+
+def test_the_card_of_a_bundle_lies_in_its_folder(bundle: tuple[Path, BundleManifest]) -> None:
+    folder, manifest = bundle
+    assert (folder / CARD_FILE_NAME).read_text().endswith(card_of(manifest))
 
 
 def test_golden_vectors_are_what_the_model_answers(bundle: tuple[Path, BundleManifest]) -> None:

@@ -3,7 +3,8 @@
 Importing this does not import python-tuf: a unit is ready before it has to ask for news.
 """
 
-from rsu_app.adapters.updates.repository import FetchLimits, TufReleaseSource
+from rsu_app.adapters.updates.limits import FetchLimits
+from rsu_app.adapters.updates.repository import TufReleaseSource
 from rsu_app.adapters.updates.shelf import FolderShelf
 
 __all__ = ["FetchLimits", "FolderShelf", "TufReleaseSource"]

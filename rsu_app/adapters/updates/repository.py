@@ -6,9 +6,9 @@ What python-tuf is needed for stands in `rsu_app.adapters.updates.visit` and is 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
+from rsu_app.adapters.updates.limits import FetchLimits
 from rsu_app.rollout_ports import FetchedRelease, UpdateReason, UpdateRefusal
 from rsu_app.usecases.readiness import EARLIEST_SANE_UNIX_S
 
@@ -16,23 +16,6 @@ CLOCK_TOLERANCE_S = 86_400.0
 """A wall clock may be so far behind the newest moment the unit has proof of; a clock that is set right steps back."""
 ROOT_LIMIT_BYTES = 512_000
 """A larger trusted root is none; python-tuf refuses such roots of a repository, too."""
-
-
-@dataclass(frozen=True, slots=True)
-class FetchLimits:
-    """What a visit may take.
-
-    Attributes:
-        silence_s: Longest wait for the next byte, and for a connection.
-        total_s: Longest visit; enough for the largest bundle at 1 Mbit/s.
-        bundle_bytes: Largest bundle, all files together.
-        files_count: Most files of a bundle.
-    """
-
-    silence_s: float = 20.0
-    total_s: float = 900.0
-    bundle_bytes: int = 64 * 1024 * 1024
-    files_count: int = 64
 
 
 class TufReleaseSource:

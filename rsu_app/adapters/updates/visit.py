@@ -32,7 +32,7 @@ from roadgrip.release import (
     ring_target,
 )
 from rsu_app.adapters.updates.fetching import AddressError, BoundedFetcher, fetcher_for
-from rsu_app.adapters.updates.repository import FetchLimits
+from rsu_app.adapters.updates.limits import FetchLimits
 from rsu_app.adapters.updates.shelf import NO_ROOM_ERRNOS, make_folder
 from rsu_app.rollout_ports import FetchedRelease, UpdateReason, UpdateRefusal
 
