@@ -34,7 +34,8 @@ from rsu_app.rate import RateLimit
 from rsu_app.rollout_wiring import load_model, loading_of, rollout_of, shelf_of, show_drift, show_rollout
 from rsu_app.settings import Settings, passages_kept_s
 from rsu_app.usecases import FrictionPolicies, RoadSideUnit, SectionFriction, UnitLimits
-from rsu_app.usecases.rollout import Rollout, boot
+from rsu_app.usecases.booting import boot
+from rsu_app.usecases.rollout import Rollout
 
 if TYPE_CHECKING:
     from rsu_app.adapters.http.site import Broadcast, Site

@@ -19,7 +19,8 @@ from rsu_app.ports import Clock, FrictionModel, PassageStore
 from rsu_app.rollout_ports import BundleShelf, UpdateRefusal
 from rsu_app.settings import Settings
 from rsu_app.usecases import RoadSideUnit
-from rsu_app.usecases.rollout import Boot, Loading, Rollout, RolloutStatus
+from rsu_app.usecases.booting import Boot, Loading
+from rsu_app.usecases.rollout import Rollout, RolloutStatus
 
 SHELF_FOLDER_NAME = "roadgrip-models"
 CACHE_FOLDER_NAME = "repository-cache"

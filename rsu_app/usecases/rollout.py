@@ -29,6 +29,7 @@ from rsu_app.domain.rollout import (
 from rsu_app.domain.shadow import Comparison, ShadowPolicy, Verdict, verdict
 from rsu_app.ports import Clock, FrictionModel, PassageStore
 from rsu_app.rollout_ports import BundleShelf, FetchedRelease, ReleaseSource, UpdateReason, UpdateRefusal
+from rsu_app.usecases.booting import Boot, Loading
 from rsu_app.usecases.readiness import check_golden
 from rsu_app.usecases.unit import RoadSideUnit
 
@@ -36,34 +37,6 @@ PROBE_PERIOD_S = 10.0
 """How often the live model is asked for its golden vectors while there is one to go back to."""
 UNIT = "unit"
 """Who acts when nobody told the unit to."""
-
-
-@dataclass(frozen=True, slots=True)
-class Loading:
-    """How bundles become models. Both block; they run on another thread.
-
-    Attributes:
-        from_folder: Loads and proves the bundle of a folder.
-        factory: Loads the bundle that came with the software or that the settings name.
-    """
-
-    from_folder: Callable[[Path], FrictionModel]
-    factory: Callable[[], FrictionModel]
-
-
-@dataclass(frozen=True, slots=True)
-class Boot:
-    """What a unit starts with.
-
-    Attributes:
-        model: The live model; None if not even the factory's can be used.
-        state: What the shelf is for from now on.
-        notes: What a person should know about it, such as a bundle that was found damaged.
-    """
-
-    model: FrictionModel | None
-    state: RolloutState
-    notes: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,25 +56,6 @@ class RolloutStatus:
     wanted_count: int
     last_refusal: UpdateRefusal | None
     looked_unix_s: float | None
-
-
-def boot(shelf: BundleShelf, loading: Loading) -> Boot:
-    """Return what to start with: the live bundle, failing that the one before it, failing that the factory's.
-
-    A bundle that was damaged on the disk or that this software cannot run is left behind, and the shelf says so.
-    """
-    state = shelf.state()
-    notes = list(shelf.notes)
-    while not state.live.from_factory:
-        try:
-            return Boot(loading.from_folder(shelf.folder_of(state.live)), state, tuple(notes))
-        except (BundleError, FeatureTableError) as error:
-            notes.append(f"bundle {state.live.bundle_id} cannot be used: {error}")
-            state = _without_live(state)
-    try:
-        return Boot(loading.factory(), state, tuple(notes))
-    except (BundleError, FeatureTableError) as error:
-        return Boot(None, state, (*notes, f"the bundle of the settings cannot be used: {error}"))
 
 
 class Rollout:
@@ -146,6 +100,7 @@ class Rollout:
         self._notes = started.notes
         self._on_refusal = on_refusal
         self._turn = asyncio.Lock()
+        self._looking = asyncio.Lock()
         self._last_refusal: UpdateRefusal | None = None
         self._looked_unix_s: float | None = None
         self._probed_at_s: float | None = None
@@ -197,23 +152,16 @@ class Rollout:
             source: The configured one, or a folder that somebody brought.
             actor: Who asked for it.
         """
-        async with self._turn:
+        async with self._looking:
+            # Not in turn with the steps: a slow line must not keep a misleading model in its place.
             found = await asyncio.to_thread(
                 source.fetch,
                 self._ring,
                 newer_than=self._state.newest_sequence_number,
                 into=self._shelf.incoming_folder,
             )
-            self._looked_unix_s = self._clock.unix_s()
-            if found is None:
-                self._last_refusal = None
-                return None
-            outcome = found if isinstance(found, UpdateRefusal) else await self._take_up(found, actor=actor)
-            if isinstance(outcome, UpdateRefusal):
-                await self._refuse(outcome)
-            else:
-                self._last_refusal = None
-            return outcome
+            async with self._turn:
+                return await self._found(found, actor=actor)
 
     async def watch(self) -> None:
         """Look at what is compared and at the live model, and do what follows. Call it every second or so."""
@@ -257,6 +205,20 @@ class Rollout:
             return await self._step_back(reason, actor=actor)
 
     # What the steps are made of; each is called with the turn taken. -------------------------------------------------
+
+    async def _found(
+        self, found: FetchedRelease | UpdateRefusal | None, *, actor: str
+    ) -> Release | UpdateRefusal | None:
+        self._looked_unix_s = self._clock.unix_s()
+        if found is None:
+            self._last_refusal = None
+            return None
+        outcome = found if isinstance(found, UpdateRefusal) else await self._take_up(found, actor=actor)
+        if isinstance(outcome, UpdateRefusal):
+            await self._refuse(outcome)
+        else:
+            self._last_refusal = None
+        return outcome
 
     async def _take_up(self, found: FetchedRelease, *, actor: str) -> Release | UpdateRefusal:
         release = found.release
@@ -472,12 +434,6 @@ class Rollout:
     @property
     def _wanted_count(self) -> int:
         return self._policy.shadow_count if self._state.stage is Stage.SHADOW else self._policy.probation_count
-
-
-def _without_live(state: RolloutState) -> RolloutState:
-    """Return the state after the live bundle was found unusable before anything was loaded."""
-    newest = state.newest_sequence_number
-    return rolled_back(state) if state.previous is not None else RolloutState(newest_sequence_number=newest)
 
 
 def _evidence(release: Release) -> dict[str, str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,8 +14,9 @@ from roadgrip.release import Release
 from rsu_app.domain.rollout import Stage
 from rsu_app.domain.shadow import ShadowPolicy
 from rsu_app.ports import Estimates
-from rsu_app.rollout_ports import UpdateRefusal
-from rsu_app.usecases.rollout import Loading, Rollout, boot
+from rsu_app.rollout_ports import FetchedRelease, UpdateRefusal
+from rsu_app.usecases.booting import Loading, boot
+from rsu_app.usecases.rollout import Rollout
 from tests.bundles import make_manifest
 from tests.rsu_app.fakes import FakeModel, FakeShelf, FakeSource, make_passage, release_of
 from tests.rsu_app.usecases.site import SECTION, Site
@@ -37,6 +39,18 @@ class BiasedModel(FakeModel):
             return Estimates(np.array(model.golden.mu), None)
         answer = super().estimate(table_digest, rows, section_id=section_id)
         return replace(answer, mu=answer.mu * self.factor)
+
+
+class SlowSource(FakeSource):
+    """Has no news, and says so only when it is told to."""
+
+    def __init__(self, arrived: threading.Event) -> None:
+        super().__init__()
+        self._arrived = arrived
+
+    def fetch(self, ring: str, *, newer_than: int, into: Path) -> FetchedRelease | UpdateRefusal | None:
+        self._arrived.wait()
+        return super().fetch(ring, newer_than=newer_than, into=into)
 
 
 class Depot:

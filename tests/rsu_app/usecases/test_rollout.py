@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import asyncio
+import threading
 from dataclasses import replace
 
 import pytest
@@ -13,7 +14,7 @@ from rsu_app.domain.rollout import FACTORY, Stage
 from rsu_app.rollout_ports import UpdateReason, UpdateRefusal
 from rsu_app.usecases.rollout import PROBE_PERIOD_S, Rollout
 from tests.rsu_app.fakes import release_of
-from tests.rsu_app.usecases.depot import GOOD, GOOD_ID, OTHER, OTHER_ID, POLICY, BiasedModel, Depot
+from tests.rsu_app.usecases.depot import GOOD, GOOD_ID, OTHER, OTHER_ID, POLICY, BiasedModel, Depot, SlowSource
 
 
 def test_a_release_is_shadowed_then_live_then_settled_and_no_passage_is_lost():
@@ -105,6 +106,25 @@ def test_a_bundle_that_goes_wrong_on_probation_is_rolled_back_by_itself():
         assert (entry.action, entry.subject) == (Action.ROLLED_BACK, factory_id)
         assert entry.evidence["failed_bundle_id"] == bad.manifest.bundle_id
         assert depot.shelf.kept.live == FACTORY
+
+    asyncio.run(story())
+
+
+def test_a_slow_line_keeps_no_misleading_model_in_its_place():
+    async def story():
+        depot = Depot()
+        factory_id, bad = depot.live_id, BiasedModel(3e-3)
+        depot.release(1, bad)
+        await depot.rollout.look()
+        await depot.drive(POLICY.shadow_count)
+        arrived = threading.Event()
+        looking = asyncio.create_task(depot.rollout.update_from(SlowSource(arrived), actor="ann"))
+        bad.factor = 1.5
+        await depot.drive(POLICY.judged_from_count)
+        assert depot.live_id == factory_id
+        assert not looking.done()
+        arrived.set()
+        assert await looking is None
 
     asyncio.run(story())
 
