@@ -69,9 +69,10 @@ async def _run(settings: Settings) -> None:
         if endpoint is not None:
             stack.push_async_callback(endpoint.close)
         await parts.rollout.resume()
-        control = control_socket(socket_path(settings))
-        stack.callback(socket_path(settings).unlink, missing_ok=True)
-        stack.callback(control.close)
+        control = _control_listener(settings)
+        if control is not None:
+            stack.callback(socket_path(settings).unlink, missing_ok=True)
+            stack.callback(control.close)
         app = create_app(site_of_parts(parts, endpoint=endpoint))
         host, port = listener.getsockname()[:2]
 
@@ -93,7 +94,8 @@ async def _run(settings: Settings) -> None:
             on_stop=parts.streams.close,
         )
         await stack.enter_async_context(_chores(parts, endpoint, server))
-        await stack.enter_async_context(_control(parts, control))
+        if control is not None:
+            await stack.enter_async_context(_control(parts, control))
         _stop_on_signals(server)
         await server.serve(sockets=[listener])
         _log.info("stopping")
@@ -175,6 +177,19 @@ async def _chores(parts: Parts, endpoint: FrameEndpoint | None, server: HttpServ
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
+
+
+def _control_listener(settings: Settings) -> socket.socket | None:
+    """Return where operators speak to the unit; None where the disk has no place for that, which stops no unit.
+
+    Raises:
+        ConfigurationError: Another unit uses the same shelf.
+    """
+    try:
+        return control_socket(socket_path(settings))
+    except OSError as error:
+        _log.error("control_unavailable", path=str(socket_path(settings)), error=str(error))
+        return None
 
 
 @asynccontextmanager

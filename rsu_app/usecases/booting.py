@@ -33,11 +33,13 @@ class Boot:
         model: The live model; None if not even the factory's can be used.
         state: What the shelf is for from now on.
         notes: What a person should know about it, such as a bundle that was found damaged.
+        left_behind: Whether a bundle of the shelf, or the shelf's own file, could not be used: then the shelf is told.
     """
 
     model: FrictionModel | None
     state: RolloutState
     notes: tuple[str, ...]
+    left_behind: bool = False
 
 
 def boot(shelf: BundleShelf, loading: Loading) -> Boot:
@@ -45,18 +47,22 @@ def boot(shelf: BundleShelf, loading: Loading) -> Boot:
 
     A bundle that was damaged on the disk or that this software cannot run is left behind, and the shelf says so.
     """
-    state = shelf.state()
+    state = kept = shelf.state()
     notes = list(shelf.notes)
     while not state.live.from_factory:
         try:
-            return Boot(loading.from_folder(shelf.folder_of(state.live)), state, tuple(notes))
+            model = loading.from_folder(shelf.folder_of(state.live))
         except (BundleError, FeatureTableError) as error:
             notes.append(f"bundle {state.live.bundle_id} cannot be used: {error}")
             state = _without_live(state)
+        else:
+            return Boot(model, state, tuple(notes), left_behind=bool(notes))
+    left_behind = state != kept or bool(notes)
     try:
-        return Boot(loading.factory(), state, tuple(notes))
+        return Boot(loading.factory(), state, tuple(notes), left_behind=left_behind)
     except (BundleError, FeatureTableError) as error:
-        return Boot(None, state, (*notes, f"the bundle of the settings cannot be used: {error}"))
+        notes.append(f"the bundle of the settings cannot be used: {error}")
+        return Boot(None, state, tuple(notes), left_behind=left_behind)
 
 
 def _without_live(state: RolloutState) -> RolloutState:

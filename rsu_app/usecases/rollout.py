@@ -7,6 +7,7 @@ first, since a model that misleads drivers must not stay for a full disk's sake.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -97,7 +98,7 @@ class Rollout:
         self._policy = policy
         self._clock = clock
         self._state = started.state
-        self._notes = started.notes
+        self._left_behind = "; ".join(started.notes) if started.left_behind else ""
         self._on_refusal = on_refusal
         self._turn = asyncio.Lock()
         self._looking = asyncio.Lock()
@@ -120,11 +121,11 @@ class Rollout:
     async def resume(self) -> None:
         """Go on from where the unit stood when it stopped: compare again what was being compared."""
         async with self._turn:
-            for note in self._notes:
-                await self._tell(Action.ROLLED_BACK, self._state.live.bundle_id, reason=note)
-            if self._notes:
-                await self._keep(self._state)
-            self._notes = ()
+            if self._left_behind:
+                why, self._left_behind = self._left_behind, ""
+                await self._tell(Action.ROLLED_BACK, self.live_id, reason=why)
+                with contextlib.suppress(StoreError):  # a disk that cannot be written now is no reason not to start
+                    await self._keep(self._state)
             beside = self._state.candidate if self._state.stage is Stage.SHADOW else self._state.previous
             if self._state.stage is Stage.SETTLED or beside is None:
                 return
@@ -266,7 +267,8 @@ class Rollout:
             Action.INSTALLED, release.bundle_id, reason=release.reason, evidence=_evidence(release), actor=actor
         )
         await self._tell(Action.SWITCHED, release.bundle_id, reason="the unit had no model")
-        await self._keep(confirmed(self._state))
+        with contextlib.suppress(StoreError):  # then the next start confirms it
+            await self._keep(confirmed(self._state))
         return release
 
     async def _shelve(self, release: Release, folder: Path) -> tuple[ShelvedBundle, FrictionModel]:

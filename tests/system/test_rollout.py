@@ -269,6 +269,13 @@ def test_only_the_unit_s_own_account_may_open_its_control_socket(tmp_path):
     assert (told.returncode, "no unit runs" in told.stdout) == (1, True)
 
 
+def test_a_unit_without_a_place_for_its_shelf_serves_all_the_same(tmp_path):
+    (tmp_path / "full").write_text("")
+    with Daemon(tmp_path, '[updates]\nfolder = "full/shelf"\n') as daemon:
+        assert daemon.client.get("/health/ready").json()["ready"]
+        assert any(line["event"] == "control_unavailable" for line in daemon.lines())
+
+
 def test_two_units_cannot_share_a_shelf(tmp_path):
     with Daemon(tmp_path):
         told = command(tmp_path, "serve")

@@ -150,7 +150,8 @@ def control_socket(path: Path) -> socket.socket:
     """Return a bound Unix socket that only its owner may open; one that a killed unit left behind makes room.
 
     Raises:
-        ConfigurationError: It cannot be bound, or another unit answers there.
+        ConfigurationError: Another unit answers there.
+        OSError: It cannot be bound.
     """
     if _answers(path):
         raise ConfigurationError(f"another unit answers at {path}; two units cannot share a shelf of bundles")
@@ -161,9 +162,9 @@ def control_socket(path: Path) -> socket.socket:
         with socket_name(path) as name:
             link.bind(name)
         path.chmod(_SOCKET_MODE)
-    except OSError as error:
+    except OSError:
         link.close()
-        raise ConfigurationError(f"cannot listen on the control socket {path}: {error.strerror}") from error
+        raise
     link.setblocking(False)  # noqa: FBT003 - the standard library's signature
     return link
 

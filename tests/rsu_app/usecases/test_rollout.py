@@ -344,6 +344,31 @@ def test_a_shelf_whose_state_was_damaged_begins_with_the_factory_s_and_the_ledge
     asyncio.run(story())
 
 
+def test_a_disk_that_cannot_be_written_is_no_reason_not_to_start():
+    async def story():
+        depot = Depot()
+        factory_id = depot.live_id
+        await depot.settle(1, GOOD)
+        depot.shelf.damaged_ids = {GOOD_ID}
+        depot.shelf.error = StoreError("read-only")
+        again = depot.restarted()
+        await again.rollout.resume()
+        assert again.live_id == factory_id
+        assert await again.drive(1) == [Accepted()]
+
+    asyncio.run(story())
+
+
+def test_a_unit_that_never_had_a_usable_bundle_does_not_say_so_at_every_start():
+    async def story():
+        depot = Depot(factory=False)
+        before = len(depot.site.store.ledger_entries)
+        await depot.rollout.resume()
+        assert len(depot.site.store.ledger_entries) == before
+
+    asyncio.run(story())
+
+
 def test_a_candidate_that_was_damaged_on_the_disk_is_taken_off():
     async def story():
         depot = Depot()
