@@ -57,6 +57,7 @@ def test_the_card_of_the_default_bundle_is_what_its_manifest_says(project_root):
     page = (project_root / "docs" / "laboratory.md").read_text(encoding="utf-8")
     assert marks_of(page[page.index("## The default bundle") :])[:1] == [CARD_NAME]
     assert with_tables(page, {CARD_NAME: card_of(manifest)}.get) == page, "make bundle, or roadgrip-train card --into"
+    assert (folder / "card.md").read_text(encoding="utf-8").endswith(card_of(manifest))
 
 
 def test_the_page_of_the_study_tells_what_its_results_say(project_root):
