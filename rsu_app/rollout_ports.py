@@ -25,7 +25,6 @@ class UpdateReason(StrEnum):
     NO_RELEASE = "no_release"
     UNUSABLE_BUNDLE = "unusable_bundle"
     NO_ROOM = "no_room"
-    BUSY = "busy"
 
 
 @dataclass(frozen=True, slots=True)

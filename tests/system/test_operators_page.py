@@ -17,7 +17,6 @@ from deploy.rehearsal.units import Unit
 from deploy.rehearsal.warm import PROGRAMS, WarmPrograms
 from tests.system.test_documented_commands import blocks
 
-pytest.importorskip("mlflow")
 pytestmark = [pytest.mark.system, pytest.mark.sim, pytest.mark.timeout(900)]
 
 SMALL = {

@@ -14,7 +14,6 @@ from deploy.rehearsal.commands import Operator, RehearsalError, Said
 from deploy.rehearsal.run import MARK, prepare_folder
 from deploy.rehearsal.warm import WarmPrograms
 
-pytest.importorskip("mlflow")
 ROOT = Path(__file__).parents[2]
 
 
