@@ -314,6 +314,7 @@ class Rollout:
         try:
             await self._keep(rejected(self._state))
         except StoreError as error:
+            self._state = rejected(self._state)
             reason = f"{reason} (this could not be written down: {error})"
         await self._tell(Action.REJECTED, "" if candidate is None else candidate.bundle_id, reason=reason, actor=actor)
 

@@ -76,6 +76,19 @@ def test_a_candidate_that_says_something_quite_different_never_becomes_live():
     asyncio.run(story())
 
 
+def test_a_full_disk_keeps_no_failed_candidate_in_the_shadow():
+    async def story():
+        depot = Depot()
+        depot.release(1, BiasedModel(3e-3, factor=1.5))
+        await depot.rollout.look()
+        depot.shelf.error = StoreError("the disk is full")
+        await depot.drive(POLICY.judged_from_count)
+        assert depot.stage is Stage.SETTLED
+        assert "could not be written down" in depot.site.store.ledger_entries[-1].reason
+
+    asyncio.run(story())
+
+
 def test_a_candidate_that_fails_to_answer_costs_no_passage():
     async def story():
         depot = Depot()
