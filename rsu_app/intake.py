@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import asyncio
 import time
 from collections.abc import Callable
+from functools import lru_cache
+from typing import NamedTuple
 
 import structlog
 
@@ -13,18 +16,34 @@ from roadgrip.records import Accepted, NotCounted, Outcome, Passage, Rejected
 from roadgrip.units import FloatArray
 from rsu_app.observability import Metrics
 from rsu_app.ports import Estimates, FrictionModel
+from rsu_app.rate import RateLimit
 from rsu_app.usecases import AcceptedAgain, RoadSideUnit
 
 _log = structlog.get_logger("roadgrip")
 
 
+BATCH_COUNT = 64
+"""Passages that are judged together at most: some milliseconds, in which the event loop does nothing else."""
+
+
+class _Waiting(NamedTuple):
+    passage: Passage
+    via: str
+    since_s: float
+    answer: asyncio.Future[Outcome]
+
+
 class PassageIntake:
     """Hands passages to the unit, not more at one time than it can bear.
+
+    What arrives within one turn of the event loop is judged together: the busier the unit, the larger its batches and
+    the cheaper each passage, while a lone passage waits for nobody.
 
     Args:
         unit: What judges and keeps them.
         metrics: Where outcomes are counted.
         in_flight_limit_count: Passages in work at one time; more are refused as busy.
+        lines_per_s: Passages whose canonical line is written, per second; the others are counted as lines dropped.
         now_s: A monotonic clock of the machine, also when the unit's own is accelerated: latency is real.
     """
 
@@ -34,13 +53,29 @@ class PassageIntake:
         *,
         metrics: Metrics,
         in_flight_limit_count: int,
+        lines_per_s: float = 1_000.0,
         now_s: Callable[[], float] = time.monotonic,
     ) -> None:
         self._unit = unit
         self._metrics = metrics
         self._limit_count = in_flight_limit_count
         self._in_flight_count = 0
+        self._lines = RateLimit(lines_per_s)
         self._now_s = now_s
+        self._waiting: list[_Waiting] = []
+        self._working: set[asyncio.Task[None]] = set()
+        # Bound once: binding a logger for every passage would cost as much as decoding one.
+        self._log = _log.bind()
+
+    @property
+    def in_flight_count(self) -> int:
+        """Passages that came and are not answered yet."""
+        return self._in_flight_count
+
+    @property
+    def full(self) -> bool:
+        """Whether the next passage would be refused as busy."""
+        return self._in_flight_count >= self._limit_count
 
     async def receive(self, passage: Passage, *, via: str) -> Outcome:
         """Return what became of a passage; it is on the disk when it was accepted.
@@ -49,21 +84,60 @@ class PassageIntake:
             passage: What a vehicle claims.
             via: The transport, "udp", "http" or "json".
         """
-        started_s = self._now_s()
-        if self._in_flight_count >= self._limit_count:
-            outcome: Outcome = Rejected(Reason.BUSY, f"{self._limit_count} passages are in work")
-        else:
-            self._in_flight_count += 1
-            self._metrics.in_flight.set(self._in_flight_count)
-            try:
-                outcome = await self._unit.ingest_passage(passage)
-            finally:
+        return await self.offer(passage, via=via)
+
+    def offer(self, passage: Passage, *, via: str) -> asyncio.Future[Outcome]:
+        """Return what will hold the outcome of a passage; arguments as for `receive`.
+
+        Whoever cancels it hears no answer; the passage is stored and counted all the same.
+        """
+        loop = asyncio.get_running_loop()
+        answer: asyncio.Future[Outcome] = loop.create_future()
+        waiting = _Waiting(passage, via, self._now_s(), answer)
+        if self.full:
+            self._tell(waiting, Rejected(Reason.BUSY, f"{self._limit_count} passages are in work"))
+            return answer
+        self._in_flight_count += 1
+        self._waiting.append(waiting)
+        if len(self._waiting) == 1:
+            loop.call_soon(self._begin)
+        return answer
+
+    def _begin(self) -> None:
+        batch, self._waiting = self._waiting[:BATCH_COUNT], self._waiting[BATCH_COUNT:]
+        task = asyncio.get_running_loop().create_task(self._work(batch))
+        self._working.add(task)
+        task.add_done_callback(self._working.discard)
+        if self._waiting:
+            asyncio.get_running_loop().call_soon(self._begin)
+
+    async def _work(self, batch: list[_Waiting]) -> None:
+        """Answer everybody in a batch."""
+        try:
+            outcomes = await self._unit.ingest_passages([waiting.passage for waiting in batch])
+        except Exception as error:  # noqa: BLE001 - a bug that one passage meets must not leave others without an answer
+            if len(batch) == 1:
                 self._in_flight_count -= 1
-                self._metrics.in_flight.set(self._in_flight_count)
-        duration_s = self._now_s() - started_s
+                self._fail(batch[0], error)
+                return
+            for waiting in batch:
+                await self._work([waiting])
+            return
+        self._in_flight_count -= len(batch)
+        for waiting, outcome in zip(batch, outcomes, strict=True):
+            self._tell(waiting, outcome)
+
+    def _tell(self, waiting: _Waiting, outcome: Outcome) -> None:
+        duration_s = self._now_s() - waiting.since_s
         self._metrics.ingest_duration.observe(duration_s)
-        self.note(passage, outcome, via=via, duration_s=duration_s)
-        return outcome
+        self.note(waiting.passage, outcome, via=waiting.via, duration_s=duration_s)
+        if not waiting.answer.done():
+            waiting.answer.set_result(outcome)
+
+    def _fail(self, waiting: _Waiting, error: Exception) -> None:
+        self._log.error("bug", passage=waiting.passage.passage_id.hex(), via=waiting.via, error=repr(error))
+        if not waiting.answer.done():
+            waiting.answer.set_exception(error)
 
     def note(self, passage: Passage, outcome: Outcome, *, via: str, duration_s: float = 0.0) -> None:
         """Count an outcome and write its canonical line."""
@@ -74,8 +148,16 @@ class PassageIntake:
         else:
             verdict, reason = "rejected", outcome.reason.value
         section = self._metrics.section_label(passage.section_id)
-        self._metrics.passages.labels(section, verdict, reason, via).inc()
-        _log.info(
+        if isinstance(outcome, Rejected):
+            self._metrics.latest_refusals.note(
+                reason=reason, section=section, via=via, detail=outcome.detail, now_s=self._now_s()
+            )
+        self._metrics.passages.count(section, verdict, reason, via)
+        if not self._lines.take(now_s=self._now_s()):
+            # Asked here and not by the log's own budget: a line that nobody will read should not be composed.
+            self._metrics.log_lines_dropped.count()
+            return
+        self._log.info(
             "passage",
             section=section,
             passage=passage.passage_id.hex(),
@@ -112,6 +194,7 @@ class TimedModel:
             self._observe(time.perf_counter() - started_s)
 
 
+@lru_cache(maxsize=64)
 def flag_names(flags: NotCounted) -> str:
     """Return why a passage does not count, as one label such as `older_than_window`."""
     return "+".join((flag.name or "").lower() for flag in NotCounted if flag and flag in flags)

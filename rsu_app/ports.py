@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -101,6 +101,10 @@ class StoredEstimate:
     shadow_mu: float | None = None
 
 
+ArrivalKey: TypeAlias = tuple[float, int]
+"""When a stored passage was received, by the wall clock, and its running number: the order of arrival."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class CountablePassage:
     """What a window takes from a passage: what was made of it, and the values that tell more than that.
@@ -109,20 +113,35 @@ class CountablePassage:
         estimate: What was made of it.
         table_digest: The feature table of its values; one from the store may be older than this software knows.
         values: The summary's values as they were judged, in the order of that table. (n,)
+        arrival: Its place in the store; None for one that did not come from there.
     """
 
     estimate: StoredEstimate
     table_digest: str
     values: NDArray[np.float32]
+    arrival: ArrivalKey | None = None
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class PassageEntry:
-    """What the store keeps for good: the passage as it came, when it came, and what was made of it."""
+    """What the store keeps for good: the passage as it came, when it came, and what was made of it.
+
+    Attributes:
+        passage: As it came.
+        values: The summary's values as they were judged: in 32 bits. (k,)
+        received_unix_s: When, by the unit's wall clock.
+        estimate: What was made of it.
+    """
 
     passage: Passage
+    values: NDArray[np.float32]
     received_unix_s: float
     estimate: StoredEstimate
+
+    @property
+    def countable(self) -> CountablePassage:
+        """What a window takes from it."""
+        return CountablePassage(self.estimate, self.passage.summary.table_digest, self.values)
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,6 +161,26 @@ class StoreCounts:
     queue_limit_count: int
 
 
+@dataclass(frozen=True, slots=True)
+class WriterPulse:
+    """What can be seen of the one who writes without waiting for an answer.
+
+    Attributes:
+        committed_ago_s: Time since the last commit that reached the disk; None before the first and after a failure.
+        busy_s: How long the same writes have been under way; 0 while there is nothing to write, infinity if nobody
+            writes any more.
+        queued_count: Writes that wait.
+    """
+
+    committed_ago_s: float | None
+    busy_s: float
+    queued_count: int
+
+
+NO_WRITER = WriterPulse(committed_ago_s=None, busy_s=0.0, queued_count=0)
+"""While there is no database there is nothing to write, and nobody who could be stuck in it."""
+
+
 class PassageStore(Protocol):
     """Keeps passages through power cuts."""
 
@@ -150,21 +189,38 @@ class PassageStore(Protocol):
         """What a person should know about how the store was opened, such as a corrupt file that was moved aside."""
         ...
 
-    async def append(self, entry: PassageEntry) -> StoredEstimate | None:
-        """Return after the commit that holds the entry.
+    @property
+    def pulse(self) -> WriterPulse:
+        """What can be seen of the one who writes right now; never waits."""
+        ...
+
+    async def append(self, entries: Sequence[PassageEntry]) -> list[StoredEstimate | None]:
+        """Return after the one commit that holds all entries.
+
+        Args:
+            entries: At least one.
 
         Returns:
-            None if the entry is stored now. Otherwise nothing was stored, and this is what the store already holds
-            under the same passage id or, failing that, with the same values.
+            For each entry None if it is stored now. Otherwise it was not stored, and this is what the store already
+            holds, from before or from an entry ahead of it, under the same passage id or, failing that, with the
+            same values.
 
         Raises:
             StoreFullError: The queue or the disk has no room.
-            StoreError: The commit failed. The entry is not stored.
+            StoreError: The commit failed. None of the entries is stored.
         """
         ...
 
-    async def load(self, *, since_unix_s: float, limit_count: int) -> Sequence[CountablePassage]:
+    async def load(
+        self, *, since_unix_s: float, limit_count: int, before: ArrivalKey | None = None
+    ) -> Sequence[CountablePassage]:
         """Return what was received at or after a moment, oldest first; the newest `limit_count` of it.
+
+        Args:
+            since_unix_s: By the unit's wall clock at that time.
+            limit_count: Passages at most: a window is read in portions, since all of it at once would take several
+                times the memory it needs in the end.
+            before: Only what arrived before this: `arrival` of the first passage of the portion before.
 
         Raises:
             StoreError: The database cannot be read.

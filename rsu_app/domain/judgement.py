@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import isfinite
 
 from roadgrip.bundle import ModelManifest
 from roadgrip.records import NotCounted
 from roadgrip.units import FloatArray
-from rsu_app.domain.plausibility import envelope_flag, estimate_flag
+from rsu_app.domain.plausibility import are_strange, estimate_flag
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +44,23 @@ def judgement(
         mu: What the friction model answered.
         expected_error_ratio: What the model for the expected error answered; None without one.
     """
-    flags = envelope_flag(row, manifest) | estimate_flag(mu, manifest)
+    errors = None if expected_error_ratio is None else [expected_error_ratio]
+    return judgements(row[None, :], manifest, mu=[mu], expected_error_ratio=errors)[0]
+
+
+def judgements(
+    rows: FloatArray, manifest: ModelManifest, *, mu: Sequence[float], expected_error_ratio: Sequence[float] | None
+) -> list[Judgement]:
+    """Return what each of many passages says; arguments as for `judgement`, a row or number for each passage."""
+    errors = [None] * len(mu) if expected_error_ratio is None else expected_error_ratio
+    return [
+        _judged(mu[i], errors[i], manifest, NotCounted.OUT_OF_ENVELOPE if strange else NotCounted.NONE)
+        for i, strange in enumerate(are_strange(rows, manifest).tolist())
+    ]
+
+
+def _judged(mu: float, expected_error_ratio: float | None, manifest: ModelManifest, flags: NotCounted) -> Judgement:
+    flags = flags | estimate_flag(mu, manifest)
     if not isfinite(mu):
         return Judgement(mu=None, flags=flags)
     if expected_error_ratio is None or manifest.conformal is None:

@@ -7,6 +7,7 @@ memory answers that question only; what is published does not rest on it.
 from __future__ import annotations
 
 from bisect import bisect_left, insort
+from dataclasses import dataclass
 from math import inf
 from typing import NamedTuple
 
@@ -23,11 +24,17 @@ does, so more would know no more."""
 _GRID_MU = np.array(PROFILE_FRICTIONS_MU)
 
 
-class _Told(NamedTuple):
+@dataclass(slots=True)
+class _Told:
+    profile_ratio: FloatArray
+    evidence_values: FloatArray | None = None
+    """None until somebody asks: most sections know their friction without, and it costs as much as a model's answer."""
+
+
+class _Moment(NamedTuple):
     left_at_s: float
     order: int
-    informative: bool
-    evidence_values: FloatArray
+    told: _Told
 
 
 class LikelihoodWindow:
@@ -45,7 +52,7 @@ class LikelihoodWindow:
         self._window_s = window_s
         self._policy = policy or ProfilePolicy()
         self._capacity_count = capacity_count
-        self._by_time: list[_Told] = []
+        self._by_time: list[_Moment] = []
         self._added_count = 0
 
     def __len__(self) -> int:
@@ -59,12 +66,9 @@ class LikelihoodWindow:
             left_at_s: When the vehicle left the section.
             profile_ratio: Its log likelihood at `roadgrip.features.PROFILE_FRICTIONS_MU`, finite. (k,)
         """
-        line = profile_ratio[None, :]
-        evidence_values = evidence_of_profiles(line, grid_mu=_GRID_MU, policy=self._policy)[0]
-        informative = bool(says_something(line, policy=self._policy)[0])
-        # The running number keeps equal times from being ordered by arrays.
+        # The running number keeps equal times from being ordered by what was told.
         self._added_count += 1
-        insort(self._by_time, _Told(left_at_s, self._added_count, informative, evidence_values))
+        insort(self._by_time, _Moment(left_at_s, self._added_count, _Told(profile_ratio)))
         if len(self._by_time) > self._capacity_count:
             self._by_time.pop(0)
 
@@ -76,14 +80,21 @@ class LikelihoodWindow:
             counted_from_s: Only these count: since the friction changed.
         """
         del self._by_time[: bisect_left(self._by_time, (now_s - self._window_s,))]
-        counted = self._by_time[bisect_left(self._by_time, (counted_from_s,)) :]
+        counted = [moment.told for moment in self._by_time[bisect_left(self._by_time, (counted_from_s,)) :]]
         if not counted:
             return None
-        informative_count = sum(told.informative for told in counted)
+        profiles_ratio = np.array([told.profile_ratio for told in counted])
+        informative_count = int(np.count_nonzero(says_something(profiles_ratio, policy=self._policy)))
         return interval_of_evidence(
-            np.sum([told.evidence_values for told in counted], axis=0),
+            np.sum([self._evidence_values(told) for told in counted], axis=0),
             grid_mu=_GRID_MU,
             informative_count=informative_count,
             flat_count=len(counted) - informative_count,
             policy=self._policy,
         )
+
+    def _evidence_values(self, told: _Told) -> FloatArray:
+        if told.evidence_values is None:
+            line = told.profile_ratio[None, :]
+            told.evidence_values = evidence_of_profiles(line, grid_mu=_GRID_MU, policy=self._policy)[0]
+        return told.evidence_values

@@ -8,7 +8,7 @@ result is held within a few per cent of the median: the best of the one at nearl
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from math import ceil, hypot, inf, log, nan
 
@@ -50,6 +50,9 @@ class PoolingPolicy:
             not like the rest, or they would not be the only ones that know.
         outlier_frac: Share of estimates that have nothing to do with the road.
         clip_frac: How far the result may lie from what the median places.
+        lead_frac: How far a window's result may lie above the plain median of all its estimates. Where most honest
+            vehicles only know a bound, the few that name a friction decide alone; three liars in ten could then claim
+            dry asphalt on ice, and would be believed. Honest windows lead by more than this one time in twenty.
         road_bias_ratio: Standard deviation of the error that all vehicles on one road share, at least.
         shared_error_frac: The same as a share of the mean error that the estimates expect of themselves: where a
             regressor is unsure of one vehicle, it is for reasons that the next one on this road has, too.
@@ -63,6 +66,7 @@ class PoolingPolicy:
     named_frac: float = 0.4
     outlier_frac: float = 0.05
     clip_frac: float = 0.02
+    lead_frac: float = 0.05
     road_bias_ratio: float = 0.03
     shared_error_frac: float = 0.75
     liars_frac: float = 0.0
@@ -77,8 +81,8 @@ class PoolingPolicy:
             raise ValueError("shares of outliers and confidence lie between 0 and 1")
         if not 0.0 < self.named_frac <= 1.0:
             raise ValueError("nobody places nothing, and no more than all can name a friction")
-        if min(self.clip_frac, self.road_bias_ratio, self.shared_error_frac) < 0.0:
-            raise ValueError("a clip and a bias are no less than zero")
+        if min(self.clip_frac, self.lead_frac, self.road_bias_ratio, self.shared_error_frac) < 0.0:
+            raise ValueError("a clip, a lead and a bias are no less than zero")
         if not 0.0 <= self.liars_frac < 0.5:
             raise ValueError("no rule holds against half of the vehicles")
 
@@ -94,7 +98,7 @@ class RefinedInterval:
             included; infinite if nothing bounds it from above.
         informative_count: Estimates that name a friction.
         censored_count: Passages that only said "at least".
-        clipped: Whether the median held the result back; often so means liars, or a wrong idea of their errors.
+        clipped: Whether a median held the result back; often so means liars, or a wrong idea of their errors.
         at_least: Whether too few passages name a friction, so that `mu_new` and `mu_low` are lower bounds.
     """
 
@@ -338,17 +342,31 @@ def refined_interval_of_window(rows: WindowRows, *, policy: PoolingPolicy) -> Re
     """Return the refined interval of what a window holds, None without any.
 
     A doubtful entry counts with its bound. That bound holds with the coverage the model promises, so its error is in
-    it already, and none is added.
+    it already, and none is added. The result is never far above the plain median of all estimates, doubtful ones
+    included: that is what liars can move least, and too high is the dangerous side.
 
     Args:
         rows: The window's entries.
         policy: What is assumed.
     """
-    return refined_interval(
+    free = refined_interval(
         np.where(rows.at_least, rows.mu_low, rows.mu),
         expected_error_ratio=np.where(rows.at_least, 0.0, rows.expected_error_ratio),
         at_least=rows.at_least,
         policy=policy,
+    )
+    if free is None:
+        return None
+    highest_mu = (1.0 + policy.lead_frac) * float(np.median(rows.mu)) / MEDIAN_TYRE_RATIO
+    if free.mu_new <= highest_mu:
+        return free
+    # What is held back still is in the half-width.
+    return replace(
+        free,
+        mu_low=WORN_TYRE_RATIO * highest_mu,
+        mu_new=highest_mu,
+        half_width_mu=free.half_width_mu + free.mu_new - highest_mu,
+        clipped=True,
     )
 
 

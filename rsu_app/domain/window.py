@@ -2,23 +2,24 @@
 
 from __future__ import annotations
 
-from bisect import bisect_left, insort
 from collections.abc import Sequence
-from dataclasses import dataclass
-from itertools import chain
+from dataclasses import dataclass, fields
 from math import inf, isfinite, nan
-from typing import NamedTuple
+from typing import cast
 
 import numpy as np
+from sortedcontainers import SortedList
 
 from roadgrip.units import WINDOW_S, BoolArray, FloatArray
+from rsu_app.domain.sorted_rows import SortedRows
 
-CAPACITY_COUNT = 20_000
-"""Estimates a window may hold: four lanes at saturation give fewer than 10,000 vehicles an hour."""
+CAPACITY_COUNT = 100_000
+"""Estimates a window may hold, some 8 MB: four lanes at saturation give fewer than 10,000 vehicles an hour."""
 
 
-class WindowEntry(NamedTuple):
-    """One estimate as the window holds it; entries sort by time, then by friction.
+@dataclass(frozen=True, slots=True)
+class WindowRows:
+    """Estimates of a window as arrays, in the order of their times, equal times by friction. Each (n,)
 
     Attributes:
         left_at_s: When the vehicle left the section.
@@ -29,18 +30,6 @@ class WindowEntry(NamedTuple):
         expected_error_ratio: Size of the error to expect, relative to the estimate; NaN when the model says nothing.
         slowest_mps: How slowly the vehicle drove where it was slowest; NaN when that is not known.
     """
-
-    left_at_s: float
-    mu: float
-    at_least: bool = False
-    mu_low: float = nan
-    expected_error_ratio: float = nan
-    slowest_mps: float = nan
-
-
-@dataclass(frozen=True, slots=True)
-class WindowRows:
-    """All entries of a window as arrays, oldest first; see `WindowEntry`. Each (n,)"""
 
     left_at_s: FloatArray
     mu: FloatArray
@@ -59,8 +48,9 @@ class FrictionWindow:
 
     All times are seconds of one monotonic clock that the caller names; a step of the wall clock does not touch it.
 
-    Two lists hold the same estimates, one sorted by friction and one by time: order statistics are an index away,
-    and the next to leave comes first. Python moves a full list by one place in some ten microseconds.
+    The estimates are kept twice, in the order of friction and in that of time: order statistics are an index away,
+    and the next to leave comes first. Both lie in blocks of a thousand, so that an estimate costs as much in a full
+    window as in an empty one.
 
     Args:
         window_s: How long an estimate counts.
@@ -72,8 +62,8 @@ class FrictionWindow:
             raise ValueError(f"a window of {window_s} s and {capacity_count} estimates holds nothing")
         self.window_s = window_s
         self.capacity_count = capacity_count
-        self._ordered_mu: list[float] = []
-        self._by_time: list[WindowEntry] = []
+        self._ordered_mu: SortedList = SortedList()
+        self._by_time = SortedRows(_COLUMNS_COUNT)
         self._rows: WindowRows | None = None
         self._newest: tuple[int, WindowRows] | None = None
 
@@ -84,23 +74,23 @@ class FrictionWindow:
     @property
     def ordered_mu(self) -> Sequence[float]:
         """The estimates from smallest to largest; to be read, not changed."""
-        return self._ordered_mu
+        return cast("Sequence[float]", self._ordered_mu)
 
     @property
     def newest_left_at_s(self) -> float:
         """When the last vehicle of the window left the section; minus infinity when the window is empty."""
-        return self._by_time[-1].left_at_s if self._by_time else -inf
+        return float(self._by_time.last[0]) if self._by_time else -inf
 
     @property
     def oldest_left_at_s(self) -> float:
         """When the first vehicle of the window left the section; infinity when the window is empty."""
-        return self._by_time[0].left_at_s if self._by_time else inf
+        return float(self._by_time.first[0]) if self._by_time else inf
 
     @property
     def rows(self) -> WindowRows:
         """All entries, oldest first; to be read, not changed. Made once after each change of the window."""
         if self._rows is None:
-            self._rows = _rows(self._by_time)
+            self._rows = _rows(self._by_time.newest(len(self)))
         return self._rows
 
     def newest_rows(self, limit_count: int) -> WindowRows:
@@ -112,7 +102,7 @@ class FrictionWindow:
             limit_count: Entries that are wanted at most, above zero.
         """
         if self._newest is None or self._newest[0] != limit_count:
-            self._newest = limit_count, _rows(self._by_time[-limit_count:])
+            self._newest = limit_count, _rows(self._by_time.newest(limit_count))
         return self._newest[1]
 
     def add(
@@ -143,8 +133,8 @@ class FrictionWindow:
             raise ValueError(f"estimate {mu} at {left_at_s} s does not belong in a window")
         if at_least and not mu_low > 0.0:
             raise ValueError(f"estimate {mu} at {left_at_s} s says that friction is at least {mu_low}")
-        insort(self._by_time, WindowEntry(left_at_s, mu, at_least, mu_low, expected_error_ratio, slowest_mps))
-        insort(self._ordered_mu, mu)
+        self._by_time.add((left_at_s, mu, at_least, mu_low, expected_error_ratio, slowest_mps))
+        self._ordered_mu.add(mu)
         self._rows = self._newest = None
         if len(self._by_time) > self.capacity_count:
             self._drop_oldest()
@@ -156,20 +146,21 @@ class FrictionWindow:
         """
         horizon_s = now_s - self.window_s
         dropped_count = 0
-        while self._by_time and self._by_time[0].left_at_s < horizon_s:
+        while self._by_time and self._by_time.first[0] < horizon_s:
             self._drop_oldest()
             dropped_count += 1
         return dropped_count
 
     def _drop_oldest(self) -> None:
-        mu = self._by_time.pop(0).mu
-        del self._ordered_mu[bisect_left(self._ordered_mu, mu)]
+        self._ordered_mu.remove(float(self._by_time.pop_first()[1]))
         self._rows = self._newest = None
 
 
-def _rows(entries: Sequence[WindowEntry]) -> WindowRows:
-    table = np.fromiter(chain.from_iterable(entries), dtype=np.float64, count=len(entries) * len(WindowEntry._fields))
-    left_at_s, mu, at_least, mu_low, expected_error_ratio, slowest_mps = table.reshape(-1, len(WindowEntry._fields)).T
+_COLUMNS_COUNT = len(fields(WindowRows))
+
+
+def _rows(table: FloatArray) -> WindowRows:
+    left_at_s, mu, at_least, mu_low, expected_error_ratio, slowest_mps = np.ascontiguousarray(table.T)
     return WindowRows(
         left_at_s=left_at_s,
         mu=mu,

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Awaitable, Sequence
 from functools import partial
+from typing import Protocol
 
 import numpy as np
 
@@ -19,6 +21,16 @@ DRIFT_WINDOW_S = 6.0 * 3_600.0
 """Passages that are looked at: longer than they count, for most sections see too few in an hour to tell."""
 LEARNED_FROM_COUNT = 4_000
 """Stored passages that a section's earlier traffic is learned from again after a restart, the first ones."""
+MEANWHILE_COUNT = 256
+"""Passages that are kept until the earlier ones are known; a unit looks at a section every minute."""
+
+
+class LoadFirst(Protocol):
+    """Reads the first stored passages of a section that a bundle judged, in their order."""
+
+    def __call__(self, *, bundle_id: str) -> Awaitable[Sequence[CountablePassage]]:
+        """Return them."""
+        ...
 
 
 class DriftWatch:
@@ -36,7 +48,14 @@ class DriftWatch:
         self._baselines: dict[str, SectionBaseline] = {}
         self._bundle_id = ""
         self._news = False
+        self._earlier_known = False
+        self._meanwhile: list[CountablePassage] = []
         self.latest: DriftReport | None = None
+
+    @property
+    def has_news(self) -> bool:
+        """Whether a passage came since the last look."""
+        return self._news
 
     def note(self, passage: CountablePassage, *, left_at_s: float) -> None:
         """Remember a passage that was stored just now; one that another bundle judged is of no use.
@@ -61,9 +80,41 @@ class DriftWatch:
     def learn(self, passage: CountablePassage) -> None:
         """Let a passage that counts be part of the section's earlier traffic, if there is room for it.
 
-        To be called with every passage once, in the order in which they were stored; after a restart with those of
-        before.
+        To be called with every passage once, in the order in which they are stored. Before `learn_earlier` nothing is
+        learned: what is stored by then comes from there.
         """
+        if self._earlier_known:
+            self._learn(passage)
+        else:
+            self._meanwhile.append(passage)
+            del self._meanwhile[:-MEANWHILE_COUNT]
+
+    async def learn_earlier(self, load: LoadFirst) -> None:
+        """Learn what the section's traffic was like under this bundle so far, unless that is known.
+
+        Not part of a start: a unit is ready before it has read thousands of passages, and in a data centre most
+        sections see none for hours.
+
+        Args:
+            load: Reads the section's.
+
+        Raises:
+            StoreError: The store cannot be read; nothing was learned.
+        """
+        if self._earlier_known:
+            return
+        bundle_id = self._bundle_id
+        earlier = await load(bundle_id=bundle_id)
+        if bundle_id != self._bundle_id or self._earlier_known:
+            return  # another bundle is live by now
+        known_ids = {passage.estimate.passage_id for passage in earlier}
+        # Who was stored while the store was read is in neither, or in both.
+        later = [passage for passage in self._meanwhile if passage.estimate.passage_id not in known_ids]
+        self._earlier_known, self._meanwhile = True, []
+        for passage in (*earlier, *later):
+            self._learn(passage)
+
+    def _learn(self, passage: CountablePassage) -> None:
         estimate, digest = passage.estimate, passage.table_digest
         counts = estimate.flags == NotCounted.NONE and estimate.mu is not None and estimate.mu > 0.0
         if counts and estimate.bundle_id == self._bundle_id and digest in TABLES:
@@ -77,6 +128,7 @@ class DriftWatch:
             self._bundle_id = bundle_id
             self._window.forget()
             self._baselines.clear()
+            self._earlier_known, self._meanwhile = False, []
             self.latest, self._news = None, False
 
     async def look(self, manifest: BundleManifest, *, now_s: float) -> DriftReport | None:

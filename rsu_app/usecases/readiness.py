@@ -8,6 +8,7 @@ import numpy as np
 
 from roadgrip.bundle import GOLDEN_TOLERANCE_MU, GOLDEN_TOLERANCE_RATIO, ModelManifest
 from roadgrip.errors import BundleError, StoreError
+from roadgrip.records import FrictionInterval
 from rsu_app.ports import Clock, FrictionModel, PassageStore
 
 EARLIEST_SANE_UNIX_S = 1_704_067_200.0
@@ -45,6 +46,13 @@ class Readiness:
     def ready(self) -> bool:
         """Whether everything required is as it should be."""
         return all(check.ok for check in self.checks if check.required)
+
+    def conditions(self) -> dict[str, bool]:
+        """Return whether everything of a name is as it should be, by name."""
+        found: dict[str, bool] = {}
+        for check in self.checks:
+            found[check.name] = found.get(check.name, True) and check.ok
+        return found
 
 
 def check_golden(model: FrictionModel) -> None:
@@ -99,6 +107,15 @@ def model_check(model: FrictionModel | None, *, absence: str) -> Check:
     return Check("model", ok=True, detail=f"bundle {model.manifest.bundle_id} answers its golden vectors")
 
 
+def window_check(section_id: str, interval: FrictionInterval | None) -> Check:
+    """Return whether vehicles told of a section lately; a quiet road is no fault, so nothing rests on it."""
+    subject = f"section {section_id}"
+    if interval is None:
+        return Check("window", ok=False, detail=f"{subject}: no vehicle in the window", required=False)
+    detail = f"{subject}: {interval.passages_count} vehicles, the newest {interval.newest_age_s:.0f} s ago"
+    return Check("window", ok=interval.valid_for_s > 0.0, detail=detail, required=False)
+
+
 async def store_check(store: PassageStore) -> Check:
     """Return whether a write reaches the disk."""
     try:
@@ -106,6 +123,23 @@ async def store_check(store: PassageStore) -> Check:
     except StoreError as error:
         return Check("store", ok=False, detail=str(error))
     return Check("store", ok=True, detail="; ".join(("writes reach the disk", *store.notes)))
+
+
+@dataclass(frozen=True, slots=True)
+class ClockSteps:
+    """How often the wall clock was set while somebody looked.
+
+    Attributes:
+        steps_count: So often.
+        last_step_s: By how much the last time, forwards positive; 0 without one.
+        last_ago_s: How long ago that was seen; None without one.
+        moved_s: How far it has moved against the monotonic clock in all, slow corrections included.
+    """
+
+    steps_count: int
+    last_step_s: float
+    last_ago_s: float | None
+    moved_s: float
 
 
 class ClockWatch:
@@ -117,7 +151,8 @@ class ClockWatch:
 
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
-        self._offset_s = clock.unix_s() - clock.monotonic_s()
+        self._offset_s = self._first_offset_s = clock.unix_s() - clock.monotonic_s()
+        self._steps_count = 0
         self._stepped_at_s: float | None = None
         self._step_s = 0.0
 
@@ -127,12 +162,19 @@ class ClockWatch:
         step_s = unix_s - monotonic_s - self._offset_s
         if abs(step_s) > STEP_TOLERANCE_S:
             self._stepped_at_s, self._step_s = monotonic_s, step_s
+            self._steps_count += 1
         self._offset_s = unix_s - monotonic_s
         if unix_s < EARLIEST_SANE_UNIX_S:
             return Check("clock", ok=False, detail=f"the wall clock says {unix_s:.0f} s since 1970, before 2024")
         if self._stepped_at_s is not None and monotonic_s - self._stepped_at_s < STEP_MEMORY_S:
             return Check("clock", ok=False, detail=f"the wall clock stepped by {self._step_s:.1f} s a moment ago")
         return Check("clock", ok=True, detail="the wall clock is plausible and steady")
+
+    @property
+    def steps(self) -> ClockSteps:
+        """How often the wall clock was set, as far as `check` has seen."""
+        ago_s = None if self._stepped_at_s is None else self._clock.monotonic_s() - self._stepped_at_s
+        return ClockSteps(self._steps_count, self._step_s, ago_s, moved_s=self._offset_s - self._first_offset_s)
 
     @property
     def plausible(self) -> bool:

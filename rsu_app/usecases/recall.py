@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import hashlib
+import struct
 from collections import OrderedDict
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from roadgrip.reasons import Reason
 from roadgrip.records import Accepted, Outcome, Passage, Rejected
-from rsu_app.domain.plausibility import summary_values
 from rsu_app.ports import StoredEstimate
 
 DIGEST_BYTES = 16
@@ -21,26 +23,38 @@ class AcceptedAgain(Accepted):
     """The answer to a passage that was accepted before: the same as then. Told apart only to be counted apart."""
 
 
-def values_digest(passage: Passage) -> bytes:
-    """Return the digest of the summary's values: two honest passages never share it. 16 bytes."""
-    return hashlib.sha256(summary_values(passage.summary).astype("<f4").tobytes()).digest()[:DIGEST_BYTES]
+class Marks(NamedTuple):
+    """What a passage is known again by.
+
+    Attributes:
+        content_digest: Of everything the sender says but the age, which grows from attempt to attempt. 16 bytes.
+        values_digest: Of the summary's values; two honest passages never share it. 16 bytes.
+    """
+
+    content_digest: bytes
+    values_digest: bytes
 
 
-def content_digest(passage: Passage) -> bytes:
-    """Return the digest of everything the sender says but the age, which grows from attempt to attempt. 16 bytes."""
+def marks_of(passage: Passage, values: NDArray[np.float32]) -> Marks:
+    """Return what a passage is known again by.
+
+    Args:
+        passage: What a vehicle claims.
+        values: Of its summary, as `rsu_app.domain.plausibility.summary_values` gives them. (k,)
+    """
     summary = passage.summary
-    parts = [
+    values_digest = hashlib.sha256(values.astype("<f4", copy=False).tobytes()).digest()[:DIGEST_BYTES]
+    parts = (
         # A text decoded from JSON may hold half a surrogate pair, which has no UTF-8.
-        *(text.encode(errors="surrogatepass") for text in (passage.section_id, passage.map_version)),
+        passage.section_id.encode(errors="surrogatepass"),
+        passage.map_version.encode(errors="surrogatepass"),
         summary.table_digest.encode(errors="surrogatepass"),
-        np.float64(summary.duration_s).astype("<f8").tobytes(),
-        str(int(summary.quality)).encode(),
-        values_digest(passage),
-    ]
-    digest = hashlib.sha256()
-    for part in parts:
-        digest.update(len(part).to_bytes(4, "little") + part)
-    return digest.digest()[:DIGEST_BYTES]
+        struct.pack("<d", summary.duration_s),
+        b"%d" % summary.quality,
+        values_digest,
+    )
+    framed = b"".join([part for text in parts for part in (len(text).to_bytes(4, "little"), text)])
+    return Marks(hashlib.sha256(framed).digest()[:DIGEST_BYTES], values_digest)
 
 
 def outcome_of_repetition(known: StoredEstimate, *, passage_id: bytes, content: bytes) -> Outcome:
@@ -77,10 +91,19 @@ class Recall:
     def __contains__(self, passage_id: object) -> bool:
         return passage_id in self._by_id
 
-    def remember(self, estimate: StoredEstimate) -> None:
-        """Keep an estimate; the oldest goes if there is no room."""
+    def remember(self, estimate: StoredEstimate, *, earlier: bool = False) -> None:
+        """Keep an estimate; the oldest goes if there is no room.
+
+        Args:
+            estimate: Of a stored passage.
+            earlier: It is older than all that are kept: it takes no other's place.
+        """
+        if earlier and len(self._by_id) >= self._capacity_count:
+            return
         self._by_id[estimate.passage_id] = estimate
         self._id_by_values[estimate.values_digest] = estimate.passage_id
+        if earlier:
+            self._by_id.move_to_end(estimate.passage_id, last=False)
         while len(self._by_id) > self._capacity_count:
             _, oldest = self._by_id.popitem(last=False)
             self._id_by_values.pop(oldest.values_digest, None)

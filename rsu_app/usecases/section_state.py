@@ -7,17 +7,17 @@ from dataclasses import dataclass
 from math import nan
 
 import numpy as np
+from numpy.typing import NDArray
 
 from roadgrip.errors import BundleError, ConfigurationError
 from roadgrip.features import TABLES, road_features
-from roadgrip.records import Advisory, NotCounted, Passage
+from roadgrip.records import Advisory, NotCounted
 from roadgrip.section import RoadSection
 from roadgrip.units import FloatArray
 from rsu_app.domain.advisory import AdvisoryPolicy
 from rsu_app.domain.change import ChangePolicy
-from rsu_app.domain.judgement import Judgement, judgement
+from rsu_app.domain.judgement import Judgement, judgements
 from rsu_app.domain.likelihoods import LikelihoodWindow
-from rsu_app.domain.plausibility import summary_values
 from rsu_app.domain.pooling import RefinedInterval, Support
 from rsu_app.domain.probing import Standing
 from rsu_app.domain.watch import ChangeWatch
@@ -181,29 +181,31 @@ _PROFILE_PLACES = {
 }
 
 
-def judged_passage(passage: Passage, state: SectionState, model: FrictionModel) -> Judgement:
-    """Return what the bundle's model for the summary's own feature table says; never that for another one.
+def judged_values(
+    table_digest: str, values: NDArray[np.float32], state: SectionState, model: FrictionModel
+) -> list[Judgement]:
+    """Return what the bundle's model for the summaries' own feature table says; never that for another one.
 
-    A model of the bundle for this very section comes before the global one.
+    A model of the bundle for this very section comes before the global one. Many passages at once cost a model a
+    fraction of what they cost one by one.
 
     Args:
-        passage: One that can have happened.
-        state: Of the section it names.
+        table_digest: Of the summaries.
+        values: Of passages that can have happened. (n, k)
+        state: Of the section they name.
         model: The live models.
 
     Raises:
         BundleError: There is no model for that table, or it does not answer.
     """
-    digest, section_id = passage.summary.table_digest, passage.section_id
-    manifest = model.manifest.model_for(digest, section_id=section_id)
+    section_id = state.section.section_id
+    manifest = model.manifest.model_for(table_digest, section_id=section_id)
     if manifest is None:
-        raise BundleError(f"bundle {model.manifest.bundle_id} has no model for feature table {digest}")
-    row = np.concatenate([summary_values(passage.summary).astype(np.float64), state.road_rows[digest]])
-    answer = model.estimate(digest, row[None, :], section_id=section_id)
+        raise BundleError(f"bundle {model.manifest.bundle_id} has no model for feature table {table_digest}")
+    road = state.road_rows[table_digest]
+    rows = np.hstack([values.astype(np.float64), np.broadcast_to(road, (len(values), len(road)))])
+    answer = model.estimate(table_digest, rows, section_id=section_id)
     errors = answer.expected_error_ratio
-    return judgement(
-        row,
-        manifest,
-        mu=float(answer.mu[0]),
-        expected_error_ratio=None if errors is None else float(errors[0]),
+    return judgements(
+        rows, manifest, mu=answer.mu.tolist(), expected_error_ratio=None if errors is None else errors.tolist()
     )

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from roadgrip.errors import BundleError
-from roadgrip.records import Passage
 from rsu_app.domain.judgement import Judgement
 from rsu_app.domain.shadow import Answer, ShadowRecord
 from rsu_app.ports import FrictionModel
-from rsu_app.usecases.section_state import SectionState, judged_passage
+from rsu_app.usecases.section_state import SectionState, judged_values
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,32 +31,45 @@ class Shadow:
     record: ShadowRecord
 
 
-def timed_judgement(passage: Passage, state: SectionState, model: FrictionModel) -> tuple[Judgement, float]:
-    """Return what a model says of a passage, and how long that took, by this machine's own time.
-
-    Raises:
-        BundleError: It has no model for the passage's feature table, or does not answer.
-    """
-    started_s = time.perf_counter()
-    judged = judged_passage(passage, state, model)
-    return judged, time.perf_counter() - started_s
-
-
-def asked_beside(passage: Passage, state: SectionState, shadow: Shadow, live: Answer) -> Judgement | None:
-    """Return what the model beside says, None if it does not answer, after both answers were compared.
-
-    Whatever goes wrong with it stays with it: the passage has its estimate already.
+def answers_of(
+    table_digest: str, values: NDArray[np.float32], state: SectionState, model: FrictionModel
+) -> list[Answer]:
+    """Return what a model says of passages over one section, and how long each took: its share of the whole.
 
     Args:
-        passage: One that can have happened.
-        state: Of the section it names.
+        table_digest: The feature table of their summaries.
+        values: Of passages that can have happened. (n, k)
+        state: Of the section.
+        model: Whom to ask.
+
+    Raises:
+        BundleError: It has no model for their feature table, or does not answer.
+    """
+    started_s = time.perf_counter()
+    judged = judged_values(table_digest, values, state, model)
+    took_s = (time.perf_counter() - started_s) / len(judged)
+    return [Answer(each, took_s) for each in judged]
+
+
+def asked_beside(
+    table_digest: str, values: NDArray[np.float32], state: SectionState, shadow: Shadow, live: Sequence[Answer]
+) -> list[Judgement | None]:
+    """Return what the model beside says, None where it does not answer, after both answers were compared.
+
+    Whatever goes wrong with it stays with it: the passages have their estimates already.
+
+    Args:
+        table_digest: The feature table of their summaries.
+        values: Of passages that can have happened. (n, k)
+        state: Of the section.
         shadow: Whom to ask.
-        live: What the live model made of it.
+        live: What the live model made of each.
     """
     try:
-        beside = Answer(*timed_judgement(passage, state, shadow.model))
+        beside = answers_of(table_digest, values, state, shadow.model)
     except (BundleError, ValueError):
-        beside = Answer(None, 0.0)
-    newer, older = (beside, live) if shadow.newer else (live, beside)
-    shadow.record.add(newer=newer, older=older)
-    return beside.judgement
+        beside = [Answer(None, 0.0)] * len(live)
+    for its, heard in zip(beside, live, strict=True):
+        newer, older = (its, heard) if shadow.newer else (heard, its)
+        shadow.record.add(newer=newer, older=older)
+    return [answer.judgement for answer in beside]

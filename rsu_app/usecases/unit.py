@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
 
 from roadgrip.bundle import BundleManifest
-from roadgrip.errors import BundleError, StoreError, StoreFullError
+from roadgrip.errors import StoreError, StoreFullError
 from roadgrip.features import TABLES
 from roadgrip.ledger import WENT_LIVE, Action
 from roadgrip.reasons import Reason
@@ -24,8 +25,8 @@ from roadgrip.records import (
 from roadgrip.section import RoadSection
 from rsu_app.domain.advisory import AdvisoryPolicy
 from rsu_app.domain.drift import DriftReport
-from rsu_app.domain.plausibility import age_flag, implausibility, summary_values
-from rsu_app.domain.shadow import Answer, ShadowRecord
+from rsu_app.domain.plausibility import misdirection
+from rsu_app.domain.shadow import ShadowRecord
 from rsu_app.domain.watch import MEMORY_WINDOWS_COUNT
 from rsu_app.ports import (
     Clock,
@@ -33,13 +34,14 @@ from rsu_app.ports import (
     FrictionModel,
     PassageEntry,
     PassageStore,
-    StoredEstimate,
 )
 from rsu_app.usecases.changes import Subscription
+from rsu_app.usecases.claims import Claim, Judges, claim_of, groups_of, judged_claims
 from rsu_app.usecases.drift_watch import LEARNED_FROM_COUNT
 from rsu_app.usecases.limits import UnitLimits
-from rsu_app.usecases.readiness import Check, ClockWatch, Readiness, check_golden, model_check, store_check
-from rsu_app.usecases.recall import Recall, content_digest, outcome_of_repetition, values_digest
+from rsu_app.usecases.readiness import ClockWatch, Readiness, check_golden, model_check, store_check, window_check
+from rsu_app.usecases.recall import Recall, outcome_of_repetition
+from rsu_app.usecases.restoring import Restoring
 from rsu_app.usecases.section_friction import (
     FrictionPolicies,
     SectionFriction,
@@ -48,7 +50,7 @@ from rsu_app.usecases.section_friction import (
     section_friction,
 )
 from rsu_app.usecases.section_state import SectionState, count_passage, section_states
-from rsu_app.usecases.shadowing import Shadow, asked_beside, timed_judgement
+from rsu_app.usecases.shadowing import Shadow
 
 LEDGER_LOOKBACK_COUNT = 1_000
 """Entries among which the newest word on the live model is looked for; if it is older, it is said again."""
@@ -99,8 +101,9 @@ class RoadSideUnit:
         self._clock_watch = ClockWatch(clock)
         self._recall = Recall(capacity_count=self._limits.recall_count)
         self._subscribers_count = 0
-        self._pending: set[asyncio.Task[Outcome]] = set()
+        self._pending: set[asyncio.Task[list[Outcome]]] = set()
         self._restored = False
+        self._restoring = Restoring(store, limit_count=self._limits.restored_count)
         self._model_noted = False
         self._states = section_states(
             sections,
@@ -116,6 +119,11 @@ class RoadSideUnit:
         self._watch_drift()
         self._model_absence = model_absence
         self._shadow: Shadow | None = None
+
+    @property
+    def clock_plausible(self) -> bool:
+        """Whether the wall clock can be trusted."""
+        return self._clock_watch.plausible
 
     @property
     def section_ids(self) -> tuple[str, ...]:
@@ -167,67 +175,67 @@ class RoadSideUnit:
         """
         if not self._clock_watch.plausible:
             return 0
-        remembered = await self._store.load(
-            since_unix_s=self._clock.unix_s() - self._memory_s, limit_count=self._limits.recall_count
-        )
-        unix_s, monotonic_s = self._clock.unix_s(), self._clock.monotonic_s()
-        await self._learn_earlier_traffic()
+        since_unix_s = self._clock.unix_s() - self._memory_s
         counted_count = 0
-        for passage in remembered:
-            age_s = unix_s - passage.estimate.left_unix_s
-            counted_count += self._admit(passage, left_at_s=monotonic_s - age_s, age_s=age_s)
+        async for portion in self._restoring.portions(since_unix_s=since_unix_s):
+            unix_s, monotonic_s = self._clock.unix_s(), self._clock.monotonic_s()
+            for passage in portion:
+                age_s = unix_s - passage.estimate.left_unix_s
+                counted_count += self._admit(passage, left_at_s=monotonic_s - age_s, age_s=age_s, earlier=True)
         self._restored = True
         self.refresh()
         return counted_count
 
     async def ingest_passage(self, passage: Passage) -> Outcome:
-        """Return what became of a passage, after it is on the disk.
+        """Return what became of a passage, after it is on the disk; see `ingest_passages`."""
+        return (await self.ingest_passages([passage]))[0]
+
+    async def ingest_passages(self, passages: Sequence[Passage]) -> list[Outcome]:
+        """Return what became of each of some passages that arrived together, after those accepted are on the disk.
+
+        Together they cost a fraction of what they cost one by one: the model is asked once for all passages of a
+        section, and one commit holds them. What becomes of one does not depend on the others.
 
         The same passage sent again gets the same answer and changes nothing, whatever its age says then. If the
-        caller stops waiting, the passage is still stored and counted.
+        caller stops waiting, the passages are still stored and counted.
 
         Args:
-            passage: What a vehicle claims; its age grows from attempt to attempt.
+            passages: What vehicles claim; the age of a passage grows from attempt to attempt.
         """
         received_at_s = self._clock.monotonic_s()
-        content, values = content_digest(passage), values_digest(passage)
-        known = self._recall.find(passage_id=passage.passage_id, values=values)
+        claims = [claim_of(passage) for passage in passages]
+        outcomes = [self._answer_at_once(claim) for claim in claims]
+        entries: list[PassageEntry] = []
+        places: list[int] = []
+        judges = Judges(self._model, self._shadow)
+        unix_s, window_s = self._clock.unix_s(), self._limits.window_s
+        for group in groups_of([i for i, outcome in enumerate(outcomes) if outcome is None], passages):
+            state = self._states[passages[group[0]].section_id]
+            answers = judged_claims([claims[i] for i in group], state, judges, unix_s=unix_s, window_s=window_s)
+            for i, judged in zip(group, answers, strict=True):
+                if isinstance(judged, Rejected):
+                    outcomes[i] = judged
+                else:
+                    entries.append(judged)
+                    places.append(i)
+        if entries:
+            task = asyncio.create_task(self._keep(entries, received_at_s=received_at_s))
+            self._pending.add(task)
+            task.add_done_callback(self._pending.discard)
+            for i, outcome in zip(places, await asyncio.shield(task), strict=True):
+                outcomes[i] = outcome
+        return [outcome for outcome in outcomes if outcome is not None]
+
+    def _answer_at_once(self, claim: Claim) -> Outcome | None:
+        """Return the answer to a passage that needs no model: known already, or for no map of ours. None: go on."""
+        passage, marks = claim.passage, claim.marks
+        known = self._recall.find(passage_id=passage.passage_id, values=marks.values_digest)
         if known is not None:
-            return outcome_of_repetition(known, passage_id=passage.passage_id, content=content)
+            return outcome_of_repetition(known, passage_id=passage.passage_id, content=marks.content_digest)
         state = self._states.get(passage.section_id)
         if state is None:
             return self._unknown(passage.section_id)
-        refusal = implausibility(passage, state.section, table_digests=self.table_digests)
-        if refusal is not None:
-            return refusal
-        if self._model is None:
-            return Rejected(Reason.NO_MODEL, "this unit has no model yet")
-        try:
-            judged, took_s = timed_judgement(passage, state, self._model)
-        except BundleError as error:
-            return Rejected(Reason.NO_MODEL, str(error))
-        beside = None if self._shadow is None else asked_beside(passage, state, self._shadow, Answer(judged, took_s))
-        unix_s = self._clock.unix_s()
-        estimate = StoredEstimate(
-            passage_id=passage.passage_id,
-            section_id=passage.section_id,
-            content_digest=content,
-            values_digest=values,
-            mu=judged.mu,
-            flags=judged.flags | age_flag(passage.age_s, window_s=self._limits.window_s),
-            left_unix_s=unix_s - passage.age_s,
-            bundle_id=self._model.manifest.bundle_id,
-            expected_error_ratio=judged.expected_error_ratio,
-            mu_low=judged.mu_low,
-            at_least=judged.at_least,
-            shadow_bundle_id=None if self._shadow is None else self._shadow.model.manifest.bundle_id,
-            shadow_mu=None if beside is None else beside.mu,
-        )
-        entry = PassageEntry(passage=passage, received_unix_s=unix_s, estimate=estimate)
-        task = asyncio.create_task(self._keep(entry, left_at_s=received_at_s - passage.age_s))
-        self._pending.add(task)
-        task.add_done_callback(self._pending.discard)
-        return await asyncio.shield(task)
+        return misdirection(passage, state.section, table_digests=self.table_digests)
 
     def current_interval(self, section_id: str) -> FrictionInterval | Rejected | None:
         """Return the friction interval of a section as of now, None if no vehicle is behind it."""
@@ -247,9 +255,16 @@ class RoadSideUnit:
         return self._unknown(section_id) if state is None else state.drift.latest
 
     async def watch_drift(self) -> None:
-        """Look at each section that had traffic since the last look; call it every few minutes."""
-        for state in self._states.values():
-            if (manifest := self.model_manifest) is not None:
+        """Look at each section that had traffic since the last look; call it every few minutes.
+
+        Raises:
+            StoreError: What traffic was like before cannot be read.
+        """
+        for section_id, state in self._states.items():
+            if (manifest := self.model_manifest) is not None and state.drift.has_news:
+                await state.drift.learn_earlier(
+                    partial(self._store.load_first, section_id=section_id, limit_count=LEARNED_FROM_COUNT)
+                )
                 await state.drift.look(manifest, now_s=self._clock.monotonic_s())
 
     def current_advisory(self, section_id: str) -> Advisory | Rejected:
@@ -382,7 +397,7 @@ class RoadSideUnit:
                 model_check(self._model, absence=self._model_absence),
                 await store_check(self._store),
                 self._clock_watch.check(),
-                *(self._window_check(state) for state in self._states.values()),
+                *(window_check(section_id, self._interval(state)) for section_id, state in self._states.items()),
             )
         )
 
@@ -395,26 +410,37 @@ class RoadSideUnit:
                 subscription.close()
         await self._store.close()
 
-    async def _keep(self, entry: PassageEntry, *, left_at_s: float) -> Outcome:
-        """Return the outcome after the commit; only then does the estimate count."""
-        estimate, summary = entry.estimate, entry.passage.summary
+    async def _keep(self, entries: Sequence[PassageEntry], *, received_at_s: float) -> list[Outcome]:
+        """Return the outcome of each entry after the commit; only then do its estimates count."""
         try:
-            known = await self._store.append(entry)
+            held = await self._store.append(entries)
         except StoreFullError as error:
-            return Rejected(Reason.BUSY, str(error))
+            return [Rejected(Reason.BUSY, str(error))] * len(entries)
         except StoreError as error:
-            return Rejected(Reason.STORE_UNAVAILABLE, str(error))
-        if known is not None:
-            return outcome_of_repetition(known, passage_id=estimate.passage_id, content=estimate.content_digest)
-        countable = CountablePassage(estimate, summary.table_digest, summary_values(summary))
-        state = self._states[estimate.section_id]
-        if self._admit(countable, left_at_s=left_at_s, age_s=entry.passage.age_s):
-            state.drift.learn(countable)
-            self._advisory(state)
-            _notify(state)
-        return Accepted(estimate.flags)
+            return [Rejected(Reason.STORE_UNAVAILABLE, str(error))] * len(entries)
+        outcomes = [
+            self._count_stored(entry, received_at_s=received_at_s)
+            if known is None
+            else outcome_of_repetition(
+                known, passage_id=entry.estimate.passage_id, content=entry.estimate.content_digest
+            )
+            for entry, known in zip(entries, held, strict=True)
+        ]
+        for section_id in {entry.estimate.section_id for entry in entries}:
+            state = self._states[section_id]
+            if state.listeners:
+                # Whoever asks is told what holds then; only who listens must be told that it changed.
+                self._advisory(state)
+                _notify(state)
+        return outcomes
 
-    def _admit(self, passage: CountablePassage, *, left_at_s: float, age_s: float) -> bool:
+    def _count_stored(self, entry: PassageEntry, *, received_at_s: float) -> Accepted:
+        countable, age_s = entry.countable, entry.passage.age_s
+        if self._admit(countable, left_at_s=received_at_s - age_s, age_s=age_s):
+            self._states[entry.estimate.section_id].drift.learn(countable)
+        return Accepted(entry.estimate.flags)
+
+    def _admit(self, passage: CountablePassage, *, left_at_s: float, age_s: float, earlier: bool = False) -> bool:
         """Remember a stored passage and return whether it counts from now on.
 
         Once only: restoring may read a passage back between its commit and the moment its sender is answered.
@@ -423,27 +449,17 @@ class RoadSideUnit:
             passage: What the store holds.
             left_at_s: When the vehicle left the section, by the monotonic clock.
             age_s: How long ago that is, by the clock that knows.
+            earlier: It arrived before all that is remembered.
         """
         estimate = passage.estimate
         if estimate.passage_id in self._recall:
             return False
-        self._recall.remember(estimate)
+        self._recall.remember(estimate, earlier=earlier)
         state = self._states.get(estimate.section_id)
         if state is None:
             return False
         state.drift.note(passage, left_at_s=left_at_s)
         return count_passage(state, passage, left_at_s=left_at_s, age_s=age_s)
-
-    async def _learn_earlier_traffic(self) -> None:
-        """Let the watch for drift learn again what each section's traffic was like before the restart."""
-        manifest = self.model_manifest
-        if manifest is None:
-            return
-        for section_id, state in self._states.items():
-            for passage in await self._store.load_first(
-                section_id=section_id, bundle_id=manifest.bundle_id, limit_count=LEARNED_FROM_COUNT
-            ):
-                state.drift.learn(passage)
 
     def _watch_drift(self) -> None:
         """Let every section's watch know which bundle it looks at."""
@@ -472,14 +488,6 @@ class RoadSideUnit:
 
     def _issued_unix_s(self) -> int:
         return int(self._clock.unix_s()) if self._clock_watch.plausible else 0
-
-    def _window_check(self, state: SectionState) -> Check:
-        interval = self._interval(state)
-        subject = f"section {state.section.section_id}"
-        if interval is None:
-            return Check("window", ok=False, detail=f"{subject}: no vehicle in the window", required=False)
-        detail = f"{subject}: {interval.passages_count} vehicles, the newest {interval.newest_age_s:.0f} s ago"
-        return Check("window", ok=interval.valid_for_s > 0.0, detail=detail, required=False)
 
     def _unknown(self, section_id: str) -> Rejected:
         return Rejected(Reason.UNKNOWN_SECTION, f"{section_id[:48]!r} is none of {', '.join(self._states)}")

@@ -18,9 +18,16 @@ from roadgrip.records import KinematicSummary, Passage, QualityFlag
 from roadgrip.release import Release
 from roadgrip.section import BankOrigin, RoadSection, build_section
 from roadgrip.units import FloatArray, kph_to_mps
-from rsu_app.domain.plausibility import summary_values
 from rsu_app.domain.rollout import RolloutState, ShelvedBundle
-from rsu_app.ports import CountablePassage, Estimates, PassageEntry, StoreCounts, StoredEstimate
+from rsu_app.ports import (
+    ArrivalKey,
+    CountablePassage,
+    Estimates,
+    PassageEntry,
+    StoreCounts,
+    StoredEstimate,
+    WriterPulse,
+)
 from rsu_app.rollout_ports import FetchedRelease, UpdateRefusal
 from tests.bundles import BIAS_MU, CONFORMAL, ERROR_BIAS_RATIO, ERROR_WEIGHTS, linear_mu, make_manifest
 
@@ -103,13 +110,17 @@ class FakeStore:
         self.error: StoreError | None = None
         self.gate: asyncio.Event | None = None
         self.closed = False
+        self.pulse = WriterPulse(committed_ago_s=1.0, busy_s=0.0, queued_count=0)
 
     @property
     def notes(self) -> tuple[str, ...]:
         return ()
 
-    async def append(self, entry: PassageEntry) -> StoredEstimate | None:
+    async def append(self, entries: Sequence[PassageEntry]) -> list[StoredEstimate | None]:
         await self._write()
+        return [self._kept(entry) for entry in entries]
+
+    def _kept(self, entry: PassageEntry) -> StoredEstimate | None:
         same_id = [e.estimate for e in self.entries if e.estimate.passage_id == entry.estimate.passage_id]
         same_values = [e.estimate for e in self.entries if e.estimate.values_digest == entry.estimate.values_digest]
         if same_id or same_values:
@@ -117,20 +128,21 @@ class FakeStore:
         self.entries.append(entry)
         return None
 
-    async def load(self, *, since_unix_s: float, limit_count: int) -> Sequence[CountablePassage]:
-        return [
-            CountablePassage(e.estimate, e.passage.summary.table_digest, summary_values(e.passage.summary))
-            for e in self.entries
-            if e.received_unix_s >= since_unix_s
-        ][-limit_count:]
+    async def load(
+        self, *, since_unix_s: float, limit_count: int, before: ArrivalKey | None = None
+    ) -> Sequence[CountablePassage]:
+        arrived = [
+            replace(entry.countable, arrival=(entry.received_unix_s, number))
+            for number, entry in enumerate(self.entries)
+            if entry.received_unix_s >= since_unix_s
+        ]
+        arrived.sort(key=lambda passage: passage.arrival or (0.0, 0))
+        return [passage for passage in arrived if before is None or (passage.arrival or before) < before][-limit_count:]
 
     async def load_first(self, *, section_id: str, bundle_id: str, limit_count: int) -> Sequence[CountablePassage]:
         wanted = [e for e in self.entries if (e.estimate.section_id, e.estimate.bundle_id) == (section_id, bundle_id)]
         wanted.sort(key=lambda e: e.estimate.left_unix_s)
-        return [
-            CountablePassage(e.estimate, e.passage.summary.table_digest, summary_values(e.passage.summary))
-            for e in wanted[:limit_count]
-        ]
+        return [e.countable for e in wanted[:limit_count]]
 
     async def compared_count(self, *, bundle_id: str, shadow_bundle_id: str) -> int:
         estimates = [entry.estimate for entry in self.entries]

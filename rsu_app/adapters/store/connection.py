@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sqlite3
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -12,10 +13,12 @@ from sqlalchemy import Connection, Engine, create_engine, event
 from sqlalchemy.exc import DBAPIError
 from sqlalchemy.pool import NullPool, Pool, QueuePool
 
-from roadgrip.errors import StoreError, StoreFullError
+from roadgrip.errors import StoreDamagedError, StoreError, StoreFullError
 
 BUSY_TIMEOUT_MS = 5_000
 LOG_LIMIT_BYTES = 16 * 1024 * 1024
+_PIECE_BYTES = 1024 * 1024
+_DAMAGED = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB)
 
 
 def apply_writer_pragmas(connection: sqlite3.Connection) -> None:
@@ -39,6 +42,35 @@ def apply_writer_pragmas(connection: sqlite3.Connection) -> None:
         "trusted_schema = OFF",
     ):
         connection.execute(f"PRAGMA {pragma}")
+    make_log_last(connection)
+
+
+def make_log_last(connection: sqlite3.Connection) -> None:
+    """Return once the database's log is on the disk as it is read, whatever happened to it before.
+
+    After an fsync that failed, Linux takes the pages for written and never tries them again, so that they are read
+    back from memory until the power goes. SQLite does read them back when the database is opened the next time, and
+    every commit from then on would build on what is not there. Writing the log over itself makes its pages count as
+    changed again. Belongs to every connection that will write, since nobody knows what came before.
+
+    Raises:
+        sqlite3.Error: The log belongs to somebody else for too long.
+        OSError: The log cannot be written. The connection must not be used.
+    """
+    database_path = str(connection.execute("PRAGMA database_list").fetchone()[2])
+    log_path = Path(database_path + "-wal")
+    if not database_path or not log_path.exists() or not log_path.stat().st_size:
+        return
+    # Nobody may append meanwhile. SQLite holds its locks on the other two files, so that closing this one loses none.
+    connection.execute("BEGIN IMMEDIATE")
+    try:
+        with log_path.open("r+b", buffering=0) as log:
+            at_bytes = 0
+            while piece := os.pread(log.fileno(), _PIECE_BYTES, at_bytes):
+                at_bytes += os.pwrite(log.fileno(), piece, at_bytes)
+            os.fsync(log.fileno())
+    finally:
+        connection.execute("ROLLBACK")
 
 
 def apply_reader_pragmas(connection: sqlite3.Connection) -> None:
@@ -89,7 +121,7 @@ def only_transaction(engine: Engine, *, doing: str) -> Iterator[Connection]:
     try:
         with engine.begin() as connection:
             yield connection
-    except (DBAPIError, sqlite3.Error) as error:
+    except (DBAPIError, sqlite3.Error, OSError) as error:
         raise store_error(error, doing=doing) from error
     finally:
         engine.dispose()
@@ -98,8 +130,12 @@ def only_transaction(engine: Engine, *, doing: str) -> Iterator[Connection]:
 def store_error(error: DBAPIError | sqlite3.Error | OSError, *, doing: str) -> StoreError:
     """Return what went wrong in the words of the error tree."""
     origin = error.orig if isinstance(error, DBAPIError) else error
-    if getattr(origin, "sqlite_errorcode", None) == sqlite3.SQLITE_FULL:
+    # Extended codes keep the plain one in their lowest byte.
+    code = getattr(origin, "sqlite_errorcode", sqlite3.SQLITE_OK) & 0xFF
+    if code == sqlite3.SQLITE_FULL:
         return StoreFullError(f"{doing}: the disk is full")
+    if code in _DAMAGED:
+        return StoreDamagedError(f"{doing}: {origin}")
     return StoreError(f"{doing}: {origin}")
 
 
@@ -113,7 +149,7 @@ def _engine(
         connection = sqlite3.connect(address, uri=True, isolation_level=None, check_same_thread=False)
         try:
             prepare(connection)
-        except sqlite3.Error:
+        except (sqlite3.Error, OSError):
             connection.close()
             raise
         return connection

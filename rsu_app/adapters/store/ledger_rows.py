@@ -108,5 +108,5 @@ def entry_of(row: Any) -> LedgerEntry:
             previous_hash=row.previous_hash,
             entry_hash=row.entry_hash,
         )
-    except (ValueError, AttributeError) as error:
+    except (ValueError, AttributeError, RecursionError) as error:
         raise LedgerError(f"entry {row.sequence_number} cannot be read: {error}") from error

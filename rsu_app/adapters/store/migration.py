@@ -1,26 +1,40 @@
 """Bringing the database to the shape this software expects.
 
-alembic is imported only when there is something to migrate: it costs 10 MB and 0.4 s that an ordinary start saves.
+alembic and the migrations cost 10 MB that a running unit would keep for years. So a process of their own runs them,
+which is rare: a new database needs none, and an old one needs them once after an update.
 """
 
 from __future__ import annotations
 
+import json
+import os
 import sqlite3
+import subprocess
+import sys
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import quote
 
-from sqlalchemy.exc import DBAPIError
+from sqlalchemy import Connection, text
 
 import rsu_app
-from roadgrip.errors import StoreError
-from rsu_app.adapters.store.connection import store_error, writing_engine
-from rsu_app.adapters.store.schema import REVISION
+from roadgrip.errors import StoreDamagedError, StoreError, StoreFullError
+from rsu_app.adapters.store.connection import only_transaction, store_error, writing_engine
+from rsu_app.adapters.store.schema import METADATA, REVISION
 
 if TYPE_CHECKING:
     from alembic.config import Config
+
+_VERSION_TABLE = """
+CREATE TABLE alembic_version (
+\tversion_num VARCHAR(32) NOT NULL,
+\tCONSTRAINT alembic_version_pkc PRIMARY KEY (version_num)
+)
+"""
+_FAILURES = {kind.__name__: kind for kind in (StoreError, StoreFullError, StoreDamagedError)}
+"""By what the process that migrates calls them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,34 +74,57 @@ def check(database_path: Path) -> SchemaState:
 
 
 def upgrade(database_path: Path) -> SchemaState:
-    """Return where the database stands after all migrations ran; makes it, and its folder, if missing.
+    """Return where the database stands after it was brought up to date; makes it, and its folder, if missing.
 
-    All of them run in one transaction: a database is never left between two revisions.
+    An empty one gets the tables as they are described. One of older software is migrated by a process of its own
+    (`rsu_app.adapters.store.migrating`), in one transaction: a database is never left between two revisions.
 
     Raises:
         StoreError: A migration failed, or the database is newer than this software.
     """
-    from alembic import command
-    from alembic.util import CommandError
-
     try:
         database_path.parent.mkdir(parents=True, exist_ok=True)
-        engine = writing_engine(database_path)
-        try:
-            with engine.begin() as connection:
-                config = alembic_config()
-                config.attributes["connection"] = connection
-                command.upgrade(config, "head")
-        finally:
-            engine.dispose()
-    except CommandError as error:
-        state = check(database_path)
-        raise StoreError(
-            f"{database_path} is at revision {state.current}, this software knows up to {REVISION}: {error}"
-        ) from error
-    except (DBAPIError, OSError) as error:
+        with only_transaction(writing_engine(database_path), doing=f"migrating {database_path}") as connection:
+            if not connection.execute(text("SELECT count(*) FROM sqlite_schema")).scalar():
+                _make(connection)
+    except OSError as error:
         raise store_error(error, doing=f"migrating {database_path}") from error
+    state = check(database_path)
+    if state.up_to_date:
+        return state
+    if state.current is not None and not _is_known(state.current):
+        raise StoreError(f"{database_path} is at revision {state.current}, this software knows up to {REVISION}")
+    _migrate_apart(database_path)
     return check(database_path)
+
+
+def _is_known(revision: str) -> bool:
+    return any(path.name.startswith(f"{revision}_") for path in (migrations_folder() / "versions").glob("*.py"))
+
+
+def _make(connection: Connection) -> None:
+    """Make what all migrations together make, as a test compares, with the mark that they have run."""
+    METADATA.create_all(connection)
+    connection.execute(text(_VERSION_TABLE))
+    connection.execute(text("INSERT INTO alembic_version (version_num) VALUES (:revision)"), {"revision": REVISION})
+
+
+def _migrate_apart(database_path: Path) -> None:
+    # The child finds what this process found, and nothing beside its own working folder.
+    surroundings = {**os.environ, "PYTHONPATH": os.pathsep.join(entry for entry in sys.path if entry)}
+    command = [sys.executable, "-P", "-m", "rsu_app.adapters.store.migrating", str(database_path)]
+    try:
+        done = subprocess.run(command, env=surroundings, capture_output=True, text=True, check=False)  # noqa: S603 - this Python, a module of ours
+    except OSError as error:
+        raise store_error(error, doing=f"migrating {database_path}") from error
+    if done.returncode == 0:
+        return
+    try:
+        told = json.loads(done.stdout.splitlines()[-1])
+        raise _FAILURES[told["kind"]](told["problem"])
+    except (ValueError, LookupError) as error:
+        last = (done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1]
+        raise StoreError(f"migrating {database_path}: {last}") from error
 
 
 def alembic_config() -> Config:

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from sqlalchemy import Connection, delete, func, insert, or_, select
+from sqlalchemy import Connection, and_, delete, func, or_, select, true
 from sqlalchemy.dialects.sqlite import insert as sqlite_insert
+from sqlalchemy.exc import IntegrityError
 
 from roadgrip.records import NotCounted
 from rsu_app.adapters.store.schema import PASSAGES, PROBES
-from rsu_app.domain.plausibility import summary_values
-from rsu_app.ports import CountablePassage, PassageEntry, StoredEstimate
+from rsu_app.ports import ArrivalKey, CountablePassage, PassageEntry, StoredEstimate
 
 _P = PASSAGES.c
 _ESTIMATE_COLUMNS = (
@@ -36,9 +37,49 @@ def insert_entries(connection: Connection, entries: Sequence[PassageEntry]) -> l
     """Store what is new; return per entry None, or what is held already under its id or with its values.
 
     An entry also meets those before it in the same group. There is one writer, so nothing can come between the
-    question and the insert.
+    question and the insert. Nearly always all are new, and the database itself says so: only if it refuses one is it
+    asked which are held.
     """
-    held = connection.execute(
+    if _inserted(connection, entries):
+        return [None] * len(entries)
+    held = _held(connection, entries)
+    results: list[StoredEstimate | None] = []
+    fresh: list[PassageEntry] = []
+    for entry in entries:
+        estimate = entry.estimate
+        known = held.by_id.get(estimate.passage_id) or held.by_values.get(estimate.values_digest)
+        if known is None:
+            held.add(estimate)
+            fresh.append(entry)
+        results.append(known)
+    if fresh:
+        connection.exec_driver_sql(_INSERT, [_passage_row(entry) for entry in fresh])
+    return results
+
+
+def _inserted(connection: Connection, entries: Sequence[PassageEntry]) -> bool:
+    """Return whether all entries are stored now; if one was held already, none is."""
+    with connection.begin_nested() as attempt:
+        try:
+            connection.exec_driver_sql(_INSERT, [_passage_row(entry) for entry in entries])
+        except IntegrityError:
+            attempt.rollback()
+            return False
+    return True
+
+
+@dataclass(frozen=True, slots=True)
+class _Held:
+    by_id: dict[bytes, StoredEstimate] = field(default_factory=dict)
+    by_values: dict[bytes, StoredEstimate] = field(default_factory=dict)
+
+    def add(self, estimate: StoredEstimate) -> None:
+        self.by_id[estimate.passage_id] = estimate
+        self.by_values[estimate.values_digest] = estimate
+
+
+def _held(connection: Connection, entries: Sequence[PassageEntry]) -> _Held:
+    rows = connection.execute(
         select(*_ESTIMATE_COLUMNS).where(
             or_(
                 _P.passage_id.in_([e.estimate.passage_id for e in entries]),
@@ -46,37 +87,31 @@ def insert_entries(connection: Connection, entries: Sequence[PassageEntry]) -> l
             )
         )
     )
-    by_id: dict[bytes, StoredEstimate] = {}
-    by_values: dict[bytes, StoredEstimate] = {}
-
-    def hold(estimate: StoredEstimate) -> None:
-        by_id[estimate.passage_id] = estimate
-        by_values[estimate.values_digest] = estimate
-
-    for row in held:
-        hold(_estimate(row))
-    results: list[StoredEstimate | None] = []
-    fresh: list[dict[str, Any]] = []
-    for entry in entries:
-        known = by_id.get(entry.estimate.passage_id) or by_values.get(entry.estimate.values_digest)
-        if known is None:
-            hold(entry.estimate)
-            fresh.append(_passage_row(entry))
-        results.append(known)
-    if fresh:
-        connection.execute(insert(PASSAGES), fresh)
-    return results
+    held = _Held()
+    for row in rows:
+        held.add(_estimate(row))
+    return held
 
 
-def passages_since(connection: Connection, *, since_unix_s: float, limit_count: int) -> list[CountablePassage]:
-    """Return what was received at or after a moment, oldest first; the newest `limit_count` of it."""
+def passages_since(
+    connection: Connection, *, since_unix_s: float, limit_count: int, before: ArrivalKey | None = None
+) -> list[CountablePassage]:
+    """Return what was received since a moment and arrived before another; the newest of it, oldest first."""
+    earlier = (
+        true()
+        if before is None
+        else or_(
+            _P.received_unix_s < before[0],
+            and_(_P.received_unix_s == before[0], _P.sequence_number < before[1]),
+        )
+    )
     newest_first = connection.execute(
-        select(*_ESTIMATE_COLUMNS, _P.table_digest, _P.features)
-        .where(_P.received_unix_s >= since_unix_s)
+        select(*_ESTIMATE_COLUMNS, _P.table_digest, _P.features, _P.received_unix_s, _P.sequence_number)
+        .where(_P.received_unix_s >= since_unix_s, earlier)
         .order_by(_P.received_unix_s.desc(), _P.sequence_number.desc())
         .limit(limit_count)
     )
-    return [_countable(row) for row in newest_first][::-1]
+    return [_countable(row, arrival=(row.received_unix_s, row.sequence_number)) for row in newest_first][::-1]
 
 
 def first_passages(
@@ -144,11 +179,12 @@ def delete_first_beyond(connection: Connection, *, size_limit_bytes: int, batch_
     return delete_first(connection, batch_count=batch_count)
 
 
-def _countable(row: Any) -> CountablePassage:
+def _countable(row: Any, *, arrival: ArrivalKey | None = None) -> CountablePassage:
     return CountablePassage(
         estimate=_estimate(row),
         table_digest=row.table_digest,
         values=np.frombuffer(row.features, dtype="<f4").astype(np.float32),
+        arrival=arrival,
     )
 
 
@@ -170,27 +206,36 @@ def _estimate(row: Any) -> StoredEstimate:
     )
 
 
-def _passage_row(entry: PassageEntry) -> dict[str, Any]:
+_INSERTED_COLUMNS = tuple(column.name for column in PASSAGES.columns if column is not _P.sequence_number)
+_INSERT = (
+    # Handed to the driver as it stands: this is the one statement that thousands of passages a second go through.
+    f"INSERT INTO {PASSAGES.name} ({', '.join(_INSERTED_COLUMNS)}) "  # noqa: S608 - names of our own schema only
+    f"VALUES ({', '.join('?' for _ in _INSERTED_COLUMNS)})"
+)
+
+
+def _passage_row(entry: PassageEntry) -> tuple[Any, ...]:
+    """Return what `_INSERT` binds, in the order of the table's columns; a test holds the two together."""
     passage, estimate = entry.passage, entry.estimate
-    return {
-        "passage_id": passage.passage_id,
-        "section_id": passage.section_id,
-        "map_version": passage.map_version,
-        "table_digest": passage.summary.table_digest,
-        "features": summary_values(passage.summary).astype("<f4").tobytes(),
-        "duration_s": passage.summary.duration_s,
-        "age_s": passage.age_s,
-        "quality": int(passage.summary.quality),
-        "received_unix_s": entry.received_unix_s,
-        "left_unix_s": estimate.left_unix_s,
-        "bundle_id": estimate.bundle_id,
-        "mu": estimate.mu,
-        "flags": int(estimate.flags),
-        "content_digest": estimate.content_digest,
-        "values_digest": estimate.values_digest,
-        "expected_error_ratio": estimate.expected_error_ratio,
-        "mu_low": estimate.mu_low,
-        "at_least": int(estimate.at_least),
-        "shadow_bundle_id": estimate.shadow_bundle_id,
-        "shadow_mu": estimate.shadow_mu,
-    }
+    return (
+        passage.passage_id,
+        passage.section_id,
+        passage.map_version,
+        passage.summary.table_digest,
+        entry.values.astype("<f4", copy=False).tobytes(),
+        passage.summary.duration_s,
+        passage.age_s,
+        int(passage.summary.quality),
+        entry.received_unix_s,
+        estimate.left_unix_s,
+        estimate.bundle_id,
+        estimate.mu,
+        int(estimate.flags),
+        estimate.content_digest,
+        estimate.values_digest,
+        estimate.expected_error_ratio,
+        estimate.mu_low,
+        int(estimate.at_least),
+        estimate.shadow_bundle_id,
+        estimate.shadow_mu,
+    )

@@ -10,6 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import TypeVar, cast
 
+import structlog
 from sqlalchemy import Connection
 from sqlalchemy.exc import DBAPIError
 
@@ -18,10 +19,20 @@ from roadgrip.ledger import Action, LedgerEntry, LedgerError
 from rsu_app.adapters.store import ledger_rows, rows
 from rsu_app.adapters.store.connection import only_transaction, reading_engine, store_error, writing_engine
 from rsu_app.adapters.store.migration import check, upgrade
-from rsu_app.adapters.store.recovery import damage, move_aside, moved_aside
+from rsu_app.adapters.store.recovery import damage, integrity_problems, keep_damaged_log, move_aside, moved_aside
 from rsu_app.adapters.store.standby import StandbyStore
 from rsu_app.adapters.store.writer import Writer, WriterLimits
-from rsu_app.ports import CountablePassage, PassageEntry, PassageStore, StoreCounts, StoredEstimate
+from rsu_app.ports import (
+    ArrivalKey,
+    CountablePassage,
+    PassageEntry,
+    PassageStore,
+    StoreCounts,
+    StoredEstimate,
+    WriterPulse,
+)
+
+_log = structlog.get_logger("roadgrip")
 
 PROBE_INTERVAL_S = 5.0
 """A commit within this time proves that writing works; readiness asked every second must not wear out the flash."""
@@ -34,22 +45,29 @@ T = TypeVar("T")
 
 
 def open_store(
-    database_path: Path, *, limits: WriterLimits | None = None, size_limit_bytes: int | None = None
+    database_path: Path,
+    *,
+    limits: WriterLimits | None = None,
+    size_limit_bytes: int | None = None,
+    suspected: bool = False,
 ) -> SqlitePassageStore:
     """Return the store in a database file: examined, migrated, with its writer running. The file is made if missing.
 
     A damaged file is moved aside and a fresh one begun; `notes` of the store and the first entry of its ledger say so.
+    Of a damaged log a copy is kept, and the database goes on with what could be read if it is whole with that.
 
     Args:
         database_path: The file.
         limits: How much waits and how much is committed at once.
         size_limit_bytes: What the database may hold after pruning; None leaves that to ages and numbers.
+        suspected: Whether to examine everything; takes several times as long.
 
     Raises:
         StoreError: The file can be neither used nor replaced, or it belongs to newer software.
     """
     try:
-        return _open(database_path, limits=limits or WriterLimits(), size_limit_bytes=size_limit_bytes)
+        notes = _sound_notes(database_path, suspected=suspected)
+        return _open(database_path, notes, limits=limits or WriterLimits(), size_limit_bytes=size_limit_bytes)
     except OSError as error:
         raise store_error(error, doing=f"opening {database_path}") from error
 
@@ -57,15 +75,18 @@ def open_store(
 def open_or_standby(
     database_path: Path, *, limits: WriterLimits | None = None, size_limit_bytes: int | None = None
 ) -> PassageStore:
-    """Return the store, or one that says why it cannot be opened and keeps trying. Never raises for the disk's sake.
+    """Return the store, which is opened again if its file is damaged, and if it cannot be opened now.
+
+    Never raises for the disk's sake.
 
     A unit without its memory still sends maps and advises the winter speed; one that does not start does neither.
     """
     open_now = partial(open_store, database_path, limits=limits, size_limit_bytes=size_limit_bytes)
+    open_again = partial(open_now, suspected=True)
     try:
-        return open_now()
+        return StandbyStore(open_now(), open_again=open_again)
     except StoreError as error:
-        return StandbyStore(open_now, problem=error)
+        return StandbyStore(error, open_again=open_again)
 
 
 def newest_received_unix_s(database_path: Path) -> float:
@@ -77,20 +98,37 @@ def newest_received_unix_s(database_path: Path) -> float:
         return 0.0
 
 
-def _open(database_path: Path, *, limits: WriterLimits, size_limit_bytes: int | None) -> SqlitePassageStore:
-    notes: list[str] = []
+def _sound_notes(database_path: Path, *, suspected: bool) -> tuple[str, ...]:
+    """Return what was wrong with the database, after which there is a sound one or none. Empty if nothing was."""
+    spoilt_log = keep_damaged_log(database_path, now_unix_s=time.time())
     found = damage(database_path)
+    if found is None and (suspected or spoilt_log is not None):
+        # Pages that the log held may have reached the database from behind the place where its reading ended.
+        found = next(iter(integrity_problems(database_path)), None) if database_path.exists() else None
+    notes = []
+    if spoilt_log is not None:
+        problem, copy = spoilt_log
+        notes.append(f"the database was damaged ({problem}); the log lies in {copy.name}, what could be read is kept")
     if found is not None:
         moved_to = move_aside(database_path, now_unix_s=time.time())
         notes.append(f"the database was damaged ({found}); it lies in {moved_to.name} and a fresh one was begun")
+    for note in notes:
+        _log.error("database_damaged", note=note)
+    return tuple(notes)
+
+
+def _open(
+    database_path: Path, notes: tuple[str, ...], *, limits: WriterLimits, size_limit_bytes: int | None
+) -> SqlitePassageStore:
+    damage_note = notes[-1] if notes else None
     before = check(database_path)
     if not before.up_to_date:
         after = upgrade(database_path)
         if not after.up_to_date:
             raise StoreError(f"{database_path} is at revision {after.current}, this software needs {after.expected}")
-        notes.append(f"the database was migrated from revision {before.current} to {after.current}")
-    _begin_ledger(database_path, damage_note=notes[0] if found else None)
-    return SqlitePassageStore(database_path, limits=limits, size_limit_bytes=size_limit_bytes, notes=tuple(notes))
+        notes = (*notes, f"the database was migrated from revision {before.current} to {after.current}")
+    _begin_ledger(database_path, damage_note=damage_note)
+    return SqlitePassageStore(database_path, limits=limits, size_limit_bytes=size_limit_bytes, notes=notes)
 
 
 def _begin_ledger(database_path: Path, *, damage_note: str | None) -> None:
@@ -144,14 +182,27 @@ class SqlitePassageStore:
         """What a person should know about how the store was opened."""
         return self._notes
 
-    async def append(self, entry: PassageEntry) -> StoredEstimate | None:
-        """Return after the commit that holds the entry; what was held already instead, if so."""
-        return cast("StoredEstimate | None", await self._writer.submit(entry))
+    @property
+    def pulse(self) -> WriterPulse:
+        """What can be seen of the writer right now; never waits."""
+        return WriterPulse(
+            committed_ago_s=self._writer.committed_ago_s,
+            busy_s=self._writer.busy_s,
+            queued_count=self._writer.queued_count,
+        )
 
-    async def load(self, *, since_unix_s: float, limit_count: int) -> Sequence[CountablePassage]:
-        """Return what was received at or after a moment, oldest first."""
+    async def append(self, entries: Sequence[PassageEntry]) -> list[StoredEstimate | None]:
+        """Return after the commit that holds the entries; for each what was held already instead, if so."""
+        return cast("list[StoredEstimate | None]", await self._writer.submit(entries))
+
+    async def load(
+        self, *, since_unix_s: float, limit_count: int, before: ArrivalKey | None = None
+    ) -> Sequence[CountablePassage]:
+        """Return what was received at or after a moment, oldest first; the newest `limit_count` of it."""
         return await self._read(
-            lambda connection: rows.passages_since(connection, since_unix_s=since_unix_s, limit_count=limit_count)
+            lambda connection: rows.passages_since(
+                connection, since_unix_s=since_unix_s, limit_count=limit_count, before=before
+            )
         )
 
     async def load_first(self, *, section_id: str, bundle_id: str, limit_count: int) -> Sequence[CountablePassage]:

@@ -13,8 +13,10 @@ import queue
 import sqlite3
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import islice
+from math import inf
 from typing import Any, TypeAlias, cast
 
 from sqlalchemy import Connection, Engine
@@ -25,8 +27,13 @@ from rsu_app.adapters.store.connection import store_error
 from rsu_app.adapters.store.rows import insert_entries
 from rsu_app.ports import PassageEntry
 
+Entries: TypeAlias = Sequence[PassageEntry]
+"""Passages that arrived together; they may share their commit with others."""
 Work: TypeAlias = Callable[[Connection], Any]
 """Something to be done in a transaction of its own."""
+
+_NAP_S = 0.0005
+"""While a group waits for company."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,8 +41,8 @@ class WriterLimits:
     """How much waits and how much is committed at once.
 
     Attributes:
-        queue_count: Writes that may wait; the next one is refused.
-        group_count: Passages per commit at most.
+        queue_count: Passages and other writes that may wait; what comes then is refused.
+        group_count: Passages from which a commit takes no more.
         linger_s: How long the first passage of a group waits for company. While a commit runs the next group gathers
             by itself, so this matters only under light load; it spares flash memory some commits.
     """
@@ -51,9 +58,19 @@ class WriterLimits:
 
 @dataclass(frozen=True, slots=True)
 class _Job:
-    task: PassageEntry | Work | str
+    task: Entries | Work | str
     future: asyncio.Future[Any]
     loop: asyncio.AbstractEventLoop
+
+    @property
+    def entries(self) -> Entries | None:
+        """The passages it holds; None when it is something else."""
+        return None if isinstance(self.task, str) or callable(self.task) else self.task
+
+    @property
+    def size_count(self) -> int:
+        """How many writes it is."""
+        return 1 if self.entries is None else len(self.entries)
 
 
 class Writer:
@@ -67,16 +84,20 @@ class Writer:
     def __init__(self, engine: Engine, limits: WriterLimits) -> None:
         self._engine = engine
         self._limits = limits
-        self._queue: queue.Queue[_Job | None] = queue.Queue(limits.queue_count)
+        self._queue: queue.SimpleQueue[_Job | None] = queue.SimpleQueue()
+        # Each is counted up by one thread only, so that neither waits for the other.
+        self._submitted_count = 0
+        self._taken_count = 0
         self._closed = False
         self._committed_at_s: float | None = None
+        self._began_at_s: float | None = None
         self._thread = threading.Thread(target=self._run, name="store-writer", daemon=True)
         self._thread.start()
 
     @property
     def queued_count(self) -> int:
-        """Writes that wait."""
-        return self._queue.qsize()
+        """Passages and other writes that wait."""
+        return self._submitted_count - self._taken_count
 
     @property
     def committed_ago_s(self) -> float | None:
@@ -84,11 +105,20 @@ class Writer:
         committed_at_s = self._committed_at_s
         return None if committed_at_s is None else time.monotonic() - committed_at_s
 
-    async def submit(self, task: PassageEntry | Work | str) -> Any:
-        """Return the result of a task after the commit that holds it.
+    @property
+    def busy_s(self) -> float:
+        """How long the same group of writes has been under way; 0 while there is none, infinity if the thread died."""
+        began_at_s = self._began_at_s
+        if not self._thread.is_alive():
+            return 0.0 if self._closed else inf
+        return 0.0 if began_at_s is None else time.monotonic() - began_at_s
+
+    async def submit(self, task: Entries | Work | str) -> Any:
+        """Return the result of a task after the commit that holds it. To be called from one event loop only.
 
         Args:
-            task: A passage; or work for a transaction of its own; or a script that runs outside of any.
+            task: Passages, at least one, whose result is a list; or work for a transaction of its own; or a script
+                that runs outside of any.
 
         Raises:
             StoreFullError: Too much waits already, or the disk is full.
@@ -98,17 +128,18 @@ class Writer:
         job = _Job(task=task, future=loop.create_future(), loop=loop)
         if self._closed:
             raise StoreError("the store is closed")
-        try:
-            self._queue.put_nowait(job)
-        except queue.Full:
-            raise StoreFullError(f"{self._limits.queue_count} writes wait already") from None
+        # What comes alone is taken while there is any room, so that a large batch is not refused for ever.
+        if self.queued_count >= self._limits.queue_count:
+            raise StoreFullError(f"{self.queued_count} writes wait already")
+        self._submitted_count += job.size_count
+        self._queue.put(job)
         return await job.future
 
     async def close(self) -> None:
         """Write what waits, then end the thread and release the connection."""
         if not self._closed:
             self._closed = True
-            await asyncio.to_thread(self._queue.put, None)
+            self._queue.put(None)
         await asyncio.to_thread(self._thread.join)
 
     def _run(self) -> None:
@@ -118,30 +149,46 @@ class Writer:
 
     def _serve(self) -> bool:
         """Write one group and whatever ended it; return false when told to stop."""
+        self._began_at_s = None
         jobs = self._gather()
+        self._began_at_s = time.monotonic()
         last = jobs[-1]
-        group = [job for job in jobs if job is not None and isinstance(job.task, PassageEntry)]
+        group = [job for job in jobs if job is not None and job.entries is not None]
         if group:
-            entries = [job.task for job in group if isinstance(job.task, PassageEntry)]
-            self._attempt(group, lambda: self._transact(lambda connection: insert_entries(connection, entries)))
-        if last is not None and not isinstance(last.task, PassageEntry):
-            task = last.task
+            entries = [entry for job in group for entry in job.entries or ()]
+            self._attempt(
+                group,
+                lambda: _dealt(self._transact(lambda connection: insert_entries(connection, entries)), group),
+            )
+        if last is not None and last.entries is None:
+            task = cast("Work | str", last.task)
             self._attempt([last], lambda: [self._run_script(task) if isinstance(task, str) else self._transact(task)])
         return last is not None
 
     def _gather(self) -> list[_Job | None]:
-        """Return passages that wait, at least one job; anything but a passage ends the group."""
-        jobs = [self._queue.get()]
+        """Return passages that wait, at least one job; anything but passages ends the group."""
+        jobs = [self._take()]
         deadline_s = time.monotonic() + self._limits.linger_s
-        while len(jobs) < self._limits.group_count:
-            last = jobs[-1]
-            if last is None or not isinstance(last.task, PassageEntry):
+        gathered_count = 0
+        while (last := jobs[-1]) is not None and last.entries is not None:
+            gathered_count += len(last.entries)
+            if gathered_count >= self._limits.group_count:
                 break
-            try:
-                jobs.append(self._queue.get(timeout=max(1e-6, deadline_s - time.monotonic())))
-            except queue.Empty:
-                break
+            if self._queue.empty():
+                # Slept, not waited for in `get`: CPython's takes a time that ran out on its way for one without end,
+                # and the passage in hand would wait for the next vehicle.
+                left_s = deadline_s - time.monotonic()
+                if left_s <= 0.0:
+                    break
+                time.sleep(min(left_s, _NAP_S))
+            else:
+                jobs.append(self._take())
         return jobs
+
+    def _take(self) -> _Job | None:
+        job = self._queue.get()
+        self._taken_count += 0 if job is None else job.size_count
+        return job
 
     def _transact(self, work: Work) -> Any:
         with self._engine.begin() as connection:
@@ -167,6 +214,12 @@ class Writer:
         else:
             self._committed_at_s = time.monotonic()
             _tell(jobs, results=results)
+
+
+def _dealt(results: list[Any], jobs: Sequence[_Job]) -> list[list[Any]]:
+    """Return the results of passages in the portions in which they came."""
+    remaining = iter(results)
+    return [list(islice(remaining, job.size_count)) for job in jobs]
 
 
 def _tell(jobs: list[_Job], *, results: list[Any] | None = None, error: StoreError | None = None) -> None:

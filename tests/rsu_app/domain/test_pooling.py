@@ -298,6 +298,39 @@ def test_a_window_hands_over_its_bounds():
     assert placed.mu_new == pytest.approx(0.44 / 0.9, rel=0.025)
 
 
+def window_with_liars(policy):
+    """35 vehicles on ice, ten of which feel it; 15 liars name dry asphalt."""
+    window = FrictionWindow()
+    for at_s in range(25):
+        window.add(left_at_s=float(at_s), mu=0.3, at_least=True, mu_low=0.15, expected_error_ratio=0.3)
+    for at_s in range(10):
+        window.add(left_at_s=100.0 + at_s, mu=0.18 + 0.001 * at_s, expected_error_ratio=0.03)
+    for at_s in range(15):
+        window.add(left_at_s=200.0 + at_s, mu=0.7 + 0.001 * at_s, mu_low=0.68, expected_error_ratio=0.01)
+    return refined_interval_of_window(window.rows, policy=policy)
+
+
+def test_the_few_who_name_a_friction_do_not_lead_far_above_the_median_of_all():
+    free, held = window_with_liars(replace(POLICY, lead_frac=9.0)), window_with_liars(POLICY)
+    assert free is not None
+    assert held is not None
+    assert free.mu_new > 0.7
+    assert held.mu_new == pytest.approx(1.05 * 0.3 / 0.9)
+    assert held.mu_low == pytest.approx(0.8 * held.mu_new)
+    assert held.clipped
+    assert held.mu_new + held.half_width_mu >= free.mu_new + free.half_width_mu - 1e-9
+
+
+@given(ENTRIES.filter(lambda entries: len(entries) > 2), st.floats(0.0, 0.3))
+def test_no_window_leads_further_than_the_policy_says(entries, lead_frac):
+    window = FrictionWindow()
+    for at_s, (mu, error, at_least) in enumerate(entries):
+        window.add(left_at_s=float(at_s), mu=mu, at_least=at_least, mu_low=0.8 * mu, expected_error_ratio=error)
+    placed = refined_interval_of_window(window.rows, policy=replace(POLICY, lead_frac=lead_frac))
+    assert placed is not None
+    assert placed.mu_new <= (1.0 + lead_frac) * float(np.median(window.rows.mu)) / 0.9 * (1.0 + 1e-9)
+
+
 @pytest.mark.parametrize(
     "assumed",
     [
@@ -308,6 +341,7 @@ def test_a_window_hands_over_its_bounds():
         {"outlier_frac": 0.0},
         {"confidence_frac": 1.0},
         {"clip_frac": -0.1},
+        {"lead_frac": -0.1},
         {"road_bias_ratio": -0.1},
         {"shared_error_frac": -0.1},
         {"liars_frac": 0.5},

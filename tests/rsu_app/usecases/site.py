@@ -52,8 +52,8 @@ class Site:
         """What the unit holds for a section; nobody but tests asks."""
         return self.unit._states[section.section_id]  # noqa: SLF001 - it answers only for what follows from it
 
-    def restarted(self):
-        return Site(store=self.store, clock=self.clock, model=self.model)
+    def restarted(self, *, limits=None):
+        return Site(store=self.store, clock=self.clock, model=self.model, limits=limits)
 
 
 def flags_of(outcome):

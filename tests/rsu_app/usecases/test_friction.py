@@ -16,7 +16,6 @@ from roadgrip.records import AdvisoryReason, Confidence, NotCounted
 from roadgrip.units import kph_to_mps
 from rsu_app.domain.advisory import STEP_KPH, AdvisoryPolicy, curve_speed_mps
 from rsu_app.domain.change import ChangePolicy
-from rsu_app.ports import CountablePassage
 from rsu_app.usecases import FrictionPolicies, SectionFriction, UnitLimits
 from rsu_app.usecases.section_friction import NEWEST_COUNT
 from tests.rsu_app.fakes import FakeClock, FakeStore, WaveringModel, make_passage
@@ -264,9 +263,9 @@ def test_a_change_that_nothing_tells_of_any_more_no_longer_cuts_what_stands_besi
 class OldTableStore(FakeStore):
     """Holds passages of a feature table that this software has never heard of."""
 
-    async def load(self, *, since_unix_s, limit_count):
-        loaded = await super().load(since_unix_s=since_unix_s, limit_count=limit_count)
-        return [CountablePassage(passage.estimate, "0" * 16, passage.values[:7]) for passage in loaded]
+    async def load(self, *, since_unix_s, limit_count, before=None):
+        loaded = await super().load(since_unix_s=since_unix_s, limit_count=limit_count, before=before)
+        return [replace(passage, table_digest="0" * 16, values=passage.values[:7]) for passage in loaded]
 
 
 def test_after_a_restart_likelihoods_still_tell_of_ice():

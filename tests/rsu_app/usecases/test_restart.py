@@ -7,7 +7,7 @@ import pytest
 from roadgrip.errors import StoreError
 from roadgrip.ledger import Action
 from roadgrip.records import Accepted
-from rsu_app.usecases import UnitLimits
+from rsu_app.usecases import UnitLimits, restoring
 from tests.rsu_app.fakes import FakeClock, FakeStore, make_passage
 from tests.rsu_app.usecases.site import SECTION, Site
 
@@ -129,5 +129,62 @@ def test_a_passage_that_is_restored_before_its_sender_is_answered_counts_once():
         answer.set()
         assert await task == Accepted()
         assert site.interval().passages_count == 1
+
+    asyncio.run(story())
+
+
+def test_a_large_window_comes_back_in_portions(monkeypatch):
+    monkeypatch.setattr(restoring, "PORTION_COUNT", 4)
+
+    async def story():
+        site = Site()
+        await site.ingest_many(11)
+        again = site.restarted(limits=UnitLimits(recall_count=3))
+        assert await again.unit.restore() == 11
+        assert again.interval().passages_count == 11
+        assert await again.unit.restore() == 0
+
+    asyncio.run(story())
+
+
+def test_restoring_goes_on_where_the_store_failed(monkeypatch):
+    monkeypatch.setattr(restoring, "PORTION_COUNT", 4)
+
+    class FailsOnce(FakeStore):
+        """Reads two portions, then fails once."""
+
+        portions_count = 0
+
+        async def load(self, *, since_unix_s, limit_count, before=None):
+            self.portions_count += 1
+            if self.portions_count == 3:
+                raise StoreError("the disk is gone")
+            return await super().load(since_unix_s=since_unix_s, limit_count=limit_count, before=before)
+
+    async def story():
+        site = Site()
+        await site.ingest_many(15)
+        store = FailsOnce()
+        store.entries = site.store.entries
+        # A memory that holds less than was restored before the failure cannot tell what counts already.
+        again = Site(store=store, clock=site.clock, limits=UnitLimits(recall_count=3))
+        with pytest.raises(StoreError):
+            await again.unit.restore()
+        await again.unit.restore()
+        assert again.interval().passages_count == 15
+
+    asyncio.run(story())
+
+
+def test_of_more_than_can_be_restored_the_newest_are():
+    async def story():
+        site = Site()
+        await site.ingest_many(9, mu=0.3)
+        site.clock.now_unix_s += 60.0
+        site.clock.now_monotonic_s += 60.0
+        await site.ingest_many(5, mu=0.6, first_seed=100)
+        again = site.restarted(limits=UnitLimits(restored_count=5))
+        assert await again.unit.restore() == 5
+        assert again.interval().median_mu == pytest.approx(0.6, abs=1e-6)
 
     asyncio.run(story())

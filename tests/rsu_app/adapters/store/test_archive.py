@@ -27,7 +27,7 @@ def path(tmp_path):
 def keep(path, *entries):
     async def story():
         store = open_store(path)
-        await asyncio.gather(*(store.append(entry) for entry in entries))
+        await asyncio.gather(*(store.append([entry]) for entry in entries))
         await store.close()
 
     asyncio.run(story())
@@ -121,7 +121,7 @@ def test_passages_can_be_read_while_a_unit_writes(path, monkeypatch):
         reading = asyncio.create_task(asyncio.to_thread(numbers_of, path, before))
         written_count = 0
         while not reading.done():
-            await store.append(numbered(100 + written_count, minutes=60.0))
+            await store.append([numbered(100 + written_count, minutes=60.0)])
             written_count += 1
         await store.close()
         return await reading, written_count

@@ -35,9 +35,9 @@ def test_a_repetition_returns_what_is_held_under_the_id_before_what_has_the_valu
     both = make_entry(passage=make_passage(SECTION, seed=2, passage_id=first.passage.passage_id))
 
     async def story(store):
-        assert await store.append(first) is None
-        assert await store.append(second) is None
-        assert await store.append(both) == first.estimate
+        assert await store.append([first]) == [None]
+        assert await store.append([second]) == [None]
+        assert await store.append([both]) == [first.estimate]
         assert (await store.counts()).passages_count == 2
 
     run(story)
@@ -48,7 +48,7 @@ def test_loading_gives_the_newest_oldest_first(run):
 
     async def story(store):
         for entry in entries:
-            await store.append(entry)
+            await store.append([entry])
         loaded = await store.load(since_unix_s=NOON_UNIX_S + 1.0, limit_count=3)
         assert [passage.estimate for passage in loaded] == [entry.estimate for entry in entries[2:]]
         [newest] = await store.load(since_unix_s=NOON_UNIX_S + 4.0, limit_count=3)
@@ -61,7 +61,7 @@ def test_what_is_loaded_has_the_values_that_were_judged(run):
     entry = make_entry(1)
 
     async def story(store):
-        await store.append(entry)
+        await store.append([entry])
         [loaded] = await store.load(since_unix_s=0.0, limit_count=1)
         assert loaded.table_digest == entry.passage.summary.table_digest
         assert tuple(loaded.values.tolist()) == entry.passage.summary.values
@@ -87,7 +87,7 @@ def test_the_first_passages_under_a_bundle_are_given_in_the_order_in_which_vehic
 
     async def story(store):
         for entry in (late, early, middle, judged(4, bundle_id="b")):
-            await store.append(entry)
+            await store.append([entry])
         first = await store.load_first(section_id=SECTION.section_id, bundle_id="a", limit_count=2)
         assert [passage.estimate for passage in first] == [early.estimate, middle.estimate]
         assert await store.load_first(section_id="elsewhere", bundle_id="a", limit_count=2) == []
@@ -106,7 +106,7 @@ def test_passages_that_two_bundles_answered_are_counted(run):
 
     async def story(store):
         for entry in entries:
-            await store.append(entry)
+            await store.append([entry])
         assert await store.compared_count(bundle_id="a", shadow_bundle_id="b") == 2
         assert await store.compared_count(bundle_id="b", shadow_bundle_id="a") == 1
 
@@ -118,10 +118,10 @@ def test_pruning_forgets_ids_and_values_with_the_passage(run):
 
     async def story(store):
         for entry in entries:
-            await store.append(entry)
+            await store.append([entry])
         assert await store.prune(before_unix_s=NOON_UNIX_S + 1.0, rows_limit_count=2) == 2
-        assert await store.append(entries[0]) is None
-        assert await store.append(entries[3]) == entries[3].estimate
+        assert await store.append([entries[0]]) == [None]
+        assert await store.append([entries[3]]) == [entries[3].estimate]
 
     run(story)
 
@@ -177,7 +177,7 @@ def test_what_a_second_bundle_said_is_kept(run, beside):
     entry = replace(entry, estimate=replace(entry.estimate, shadow_bundle_id=bundle_id, shadow_mu=mu))
 
     async def story(store):
-        await store.append(entry)
+        await store.append([entry])
         [loaded] = await store.load(since_unix_s=0.0, limit_count=1)
         assert loaded.estimate == entry.estimate
 

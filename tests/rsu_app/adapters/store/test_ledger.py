@@ -162,7 +162,7 @@ def test_nothing_is_appended_to_an_entry_that_cannot_be_read_and_the_unit_still_
             await store.record(at_unix_s=0.0, actor="unit", action=Action.LIVE, subject="b", reason="")
         with pytest.raises(StoreError, match="entry 6 cannot be read"):
             await store.ledger(limit_count=1)
-        assert await store.append(make_entry(1)) is None
+        assert await store.append([make_entry(1)]) == [None]
         await store.close()
 
     asyncio.run(story())

@@ -1,13 +1,17 @@
 from __future__ import annotations
 
 import asyncio
+import shutil
+import sqlite3
+from contextlib import closing
 
 import pytest
 
-from roadgrip.errors import StoreError
+from roadgrip.errors import StoreDamagedError, StoreError
 from roadgrip.ledger import Action
-from rsu_app.adapters.store import open_store
-from rsu_app.adapters.store.recovery import KEPT_COUNT, damage, move_aside
+from rsu_app.adapters.store import open_or_standby, open_store
+from rsu_app.adapters.store.connection import make_log_last
+from rsu_app.adapters.store.recovery import KEPT_COUNT, damage, keep_damaged_log, move_aside
 from rsu_app.adapters.store.schema import REVISION
 from tests.rsu_app.adapters.store.stories import make_entry
 
@@ -20,7 +24,7 @@ def path(tmp_path):
 def fill(path, count=50):
     async def story():
         store = open_store(path)
-        await asyncio.gather(*(store.append(make_entry(seed)) for seed in range(count)))
+        await asyncio.gather(*(store.append([make_entry(seed)]) for seed in range(count)))
         await store.close()
 
     asyncio.run(story())
@@ -30,7 +34,7 @@ def count_and_notes(path):
     async def story():
         store = open_store(path)
         counts = await store.counts()
-        await store.append(make_entry(1000))
+        await store.append([make_entry(1000)])
         await store.close()
         return counts.passages_count, store.notes
 
@@ -115,3 +119,82 @@ def test_damaged_copies_do_not_pile_up(path):
 def test_what_cannot_be_examined_is_an_error_not_damage(tmp_path):
     with pytest.raises(StoreError, match="examining"):
         damage(tmp_path)
+
+
+@pytest.fixture
+def killed_path(path, tmp_path):
+    """A database as a unit leaves it that is killed: with a log of thirty commits."""
+
+    async def story():
+        folder = tmp_path / "alive"
+        folder.mkdir()
+        store = open_store(folder / path.name)
+        for seed in range(30):
+            await store.append([make_entry(seed)])
+        for name in (path.name, f"{path.name}-wal"):
+            shutil.copy(folder / name, tmp_path)
+        await store.close()
+
+    asyncio.run(story())
+    return path
+
+
+def log_of(path):
+    return path.with_name(f"{path.name}-wal")
+
+
+def spoil(path, *, at_byte):
+    content = bytearray(path.read_bytes())
+    content[at_byte] ^= 1
+    path.write_bytes(content)
+    return bytes(content)
+
+
+def test_a_log_that_is_whole_is_left_alone(killed_path):
+    assert keep_damaged_log(killed_path, now_unix_s=0.0) is None
+    assert count_and_notes(killed_path) == (30, ())
+
+
+@pytest.mark.parametrize("at_byte", [0, 20, 32 + 4 * 4120 + 2000])
+def test_of_a_log_that_is_spoilt_a_copy_is_kept_and_what_can_be_read_stays(killed_path, at_byte):
+    spoilt = spoil(log_of(killed_path), at_byte=at_byte)
+    count, notes = count_and_notes(killed_path)
+    assert count < 30
+    [kept] = killed_path.parent.glob("passages.db.damaged-*")
+    assert kept.read_bytes() == spoilt
+    assert kept.name in notes[0]
+
+
+def test_a_commit_that_was_interrupted_is_dropped_without_a_word(killed_path):
+    log = log_of(killed_path)
+    log.write_bytes(log.read_bytes()[:-1000])
+    assert count_and_notes(killed_path) == (29, ())
+
+
+def test_a_database_that_is_damaged_in_service_is_begun_afresh(path):
+    async def story():
+        store = open_or_standby(path)
+        await asyncio.gather(*(store.append([make_entry(seed)]) for seed in range(50)))
+        size_bytes = path.stat().st_size
+        with path.open("r+b") as file:
+            file.write(b"this was a database once\n" * (size_bytes // 25))
+        log_of(path).write_bytes(b"")
+        with pytest.raises(StoreDamagedError):
+            await store.counts()
+        # Opened a moment ago, it is left alone for a while: what is damaged again and again must not wear out the disk.
+        with pytest.raises(StoreError):
+            await store.counts()
+        await store.close()
+
+    asyncio.run(story())
+    assert count_and_notes(path)[0] == 0
+
+
+def test_a_log_is_written_anew_before_anything_is_built_on_it(killed_path):
+    log = log_of(killed_path)
+    before = (log.read_bytes(), log.stat().st_mtime_ns)
+    with closing(sqlite3.connect(killed_path)) as connection:
+        make_log_last(connection)
+        assert log.read_bytes() == before[0]
+        assert log.stat().st_mtime_ns > before[1]
+        assert not connection.in_transaction

@@ -50,7 +50,7 @@ def test_what_was_acknowledged_is_in_the_file(path):
     async def story():
         async with opened(path) as store:
             for seed in range(3):
-                assert await store.append(make_entry(seed)) is None
+                assert await store.append([make_entry(seed)]) == [None]
                 assert len(query(path, "SELECT 1 FROM passages")) == seed + 1
 
     asyncio.run(story())
@@ -61,7 +61,7 @@ def test_a_passage_is_kept_as_it_came(path):
 
     async def story():
         async with opened(path) as store:
-            await store.append(entry)
+            await store.append([entry])
         async with opened(path) as store:
             assert await load_all(store) == [entry.estimate]
 
@@ -77,7 +77,7 @@ def test_a_passage_is_kept_as_it_came(path):
 def test_an_estimate_that_is_no_number_is_kept_as_missing(path):
     async def story():
         async with opened(path) as store:
-            await store.append(make_entry(mu=None, flags=NotCounted.ESTIMATE_OUT_OF_RANGE))
+            await store.append([make_entry(mu=None, flags=NotCounted.ESTIMATE_OUT_OF_RANGE)])
             [estimate] = await load_all(store)
             assert estimate.mu is None
 
@@ -92,7 +92,7 @@ def test_what_is_expected_of_the_error_comes_back_as_it_was(path, said):
 
     async def story():
         async with opened(path) as store:
-            await store.append(replace(entry, estimate=estimate))
+            await store.append([replace(entry, estimate=estimate)])
             return await load_all(store)
 
     assert asyncio.run(story()) == [estimate]
@@ -105,12 +105,12 @@ def test_the_same_id_or_the_same_values_return_what_is_held(path):
 
     async def story():
         async with opened(path) as store:
-            assert await store.append(first) is None
-            assert await store.append(first) == first.estimate
-            assert await store.append(same_id) == first.estimate
-            assert await store.append(same_values) == first.estimate
+            assert await store.append([first]) == [None]
+            assert await store.append([first]) == [first.estimate]
+            assert await store.append([same_id]) == [first.estimate]
+            assert await store.append([same_values]) == [first.estimate]
         async with opened(path) as store:
-            assert await store.append(same_values) == first.estimate
+            assert await store.append([same_values]) == [first.estimate]
             assert (await store.counts()).passages_count == 1
 
     asyncio.run(story())
@@ -121,9 +121,9 @@ def test_repetitions_meet_within_one_group_too(path):
 
     async def story():
         async with opened(path, linger_s=0.2, group_count=6) as store:
-            answers = await asyncio.gather(*(store.append(entry) for entry in entries))
-            assert [answer is None for answer in answers] == [True, True, False, True, False, False]
-            assert answers[5] == entries[0].estimate
+            answers = await asyncio.gather(*(store.append([entry]) for entry in entries))
+            assert [answer == [None] for answer in answers] == [True, True, False, True, False, False]
+            assert answers[5] == [entries[0].estimate]
 
     asyncio.run(story())
 
@@ -131,7 +131,7 @@ def test_repetitions_meet_within_one_group_too(path):
 def test_many_senders_at_once_share_commits(path):
     async def story():
         async with opened(path, linger_s=0.05, group_count=64) as store:
-            await asyncio.gather(*(store.append(make_entry(seed)) for seed in range(200)))
+            await asyncio.gather(*(store.append([make_entry(seed)]) for seed in range(200)))
             assert (await store.counts()).passages_count == 200
 
     asyncio.run(story())
@@ -141,7 +141,7 @@ def test_loading_gives_the_newest_oldest_first(path):
     async def story():
         async with opened(path) as store:
             for seed, minutes in enumerate((5, 1, 3, 2, 4)):
-                await store.append(make_entry(seed, received_unix_s=NOON_UNIX_S + 60.0 * minutes))
+                await store.append([make_entry(seed, received_unix_s=NOON_UNIX_S + 60.0 * minutes)])
             loaded = await store.load(since_unix_s=NOON_UNIX_S + 120.0, limit_count=3)
             assert [passage.estimate.left_unix_s - NOON_UNIX_S for passage in loaded] == [180.0, 240.0, 300.0]
 
@@ -153,10 +153,10 @@ def test_a_group_that_fails_fails_for_all_of_its_senders(path):
         async with opened(path, linger_s=0.2, group_count=4) as store:
             broken = make_entry(passage=make_passage(SECTION, seed=9, passage_id=b"short"))
             entries = [make_entry(1), broken, make_entry(2), make_entry(3)]
-            answers = await asyncio.gather(*(store.append(entry) for entry in entries), return_exceptions=True)
+            answers = await asyncio.gather(*(store.append([entry]) for entry in entries), return_exceptions=True)
             assert [type(answer) for answer in answers] == [StoreError] * 4
             assert await load_all(store) == []
-            assert await store.append(entries[0]) is None
+            assert await store.append([entries[0]]) == [None]
 
     asyncio.run(story())
 
@@ -164,10 +164,10 @@ def test_a_group_that_fails_fails_for_all_of_its_senders(path):
 def test_a_sender_that_hangs_up_does_not_stop_the_writer(path):
     async def story():
         async with opened(path) as store:
-            task = asyncio.create_task(store.append(make_entry(1)))
+            task = asyncio.create_task(store.append([make_entry(1)]))
             await asyncio.sleep(0)
             task.cancel()
-            assert await store.append(make_entry(2)) is None
+            assert await store.append([make_entry(2)]) == [None]
             assert (await store.counts()).passages_count == 2
 
     asyncio.run(story())
@@ -176,12 +176,12 @@ def test_a_sender_that_hangs_up_does_not_stop_the_writer(path):
 def test_closing_writes_what_waits_and_then_refuses(path):
     async def story():
         store = open_store(path, limits=WriterLimits(linger_s=0.05))
-        waiting = [asyncio.create_task(store.append(make_entry(seed))) for seed in range(20)]
+        waiting = [asyncio.create_task(store.append([make_entry(seed)])) for seed in range(20)]
         await asyncio.sleep(0)
         await store.close()
-        assert await asyncio.gather(*waiting) == [None] * 20
+        assert await asyncio.gather(*waiting) == [[None]] * 20
         with pytest.raises(StoreError, match="closed"):
-            await store.append(make_entry(99))
+            await store.append([make_entry(99)])
         await store.close()
 
     asyncio.run(story())
@@ -192,7 +192,7 @@ def test_pruning_by_age_then_by_number(path):
     async def story():
         async with opened(path) as store:
             for seed in range(10):
-                await store.append(make_entry(seed, received_unix_s=NOON_UNIX_S + seed))
+                await store.append([make_entry(seed, received_unix_s=NOON_UNIX_S + seed)])
             assert await store.prune(before_unix_s=NOON_UNIX_S + 3.0, rows_limit_count=100) == 3
             assert await store.prune(before_unix_s=None, rows_limit_count=5) == 2
             assert await store.prune(before_unix_s=None, rows_limit_count=5) == 0
@@ -205,7 +205,7 @@ def test_pruning_by_age_then_by_number(path):
 def test_pruning_keeps_what_the_database_holds_below_its_size(path):
     async def story():
         async with opened(path, size_limit_bytes=600_000) as store:
-            await asyncio.gather(*(store.append(make_entry(seed)) for seed in range(1_500)))
+            await asyncio.gather(*(store.append([make_entry(seed)]) for seed in range(1_500)))
             before = await load_all(store)
             deleted_count = await store.prune(before_unix_s=None, rows_limit_count=10_000)
             left = await load_all(store)
@@ -222,7 +222,7 @@ def test_pruning_keeps_what_the_database_holds_below_its_size(path):
 def test_free_pages_do_not_count_as_size(path):
     async def story():
         async with opened(path) as store:
-            await asyncio.gather(*(store.append(make_entry(seed)) for seed in range(600)))
+            await asyncio.gather(*(store.append([make_entry(seed)]) for seed in range(600)))
         with closing(sqlite3.connect(path)) as connection, connection:
             connection.execute("DELETE FROM passages WHERE sequence_number > 100")
         [(pages_count,)] = query(path, "PRAGMA page_count")
@@ -236,7 +236,7 @@ def test_free_pages_do_not_count_as_size(path):
 def test_a_size_that_cannot_be_kept_ends_with_the_last_passage(path):
     async def story():
         async with opened(path, size_limit_bytes=1) as store:
-            await store.append(make_entry(1))
+            await store.append([make_entry(1)])
             assert await store.prune(before_unix_s=None, rows_limit_count=10) == 1
             assert len(await store.ledger(limit_count=10)) == 1
 
@@ -246,7 +246,7 @@ def test_a_size_that_cannot_be_kept_ends_with_the_last_passage(path):
 def test_pruning_gives_pages_back_to_the_file_system(path):
     async def story():
         async with opened(path) as store:
-            await asyncio.gather(*(store.append(make_entry(seed)) for seed in range(600)))
+            await asyncio.gather(*(store.append([make_entry(seed)]) for seed in range(600)))
             [(before_count,)] = query(path, "PRAGMA page_count")
             assert await store.prune(before_unix_s=NOON_UNIX_S + 1.0, rows_limit_count=1) == 600
             [(after_count,)] = query(path, "PRAGMA page_count")
@@ -262,7 +262,7 @@ def test_the_probe_writes_only_when_no_commit_is_fresh(path):
             assert len(query(path, "SELECT 1 FROM probes")) == 1
         async with opened(path) as store:
             [(first_unix_s,)] = query(path, "SELECT written_unix_s FROM probes")
-            await store.append(make_entry(1))
+            await store.append([make_entry(1)])
             await store.probe()
             assert query(path, "SELECT written_unix_s FROM probes") == [(first_unix_s,)]
 
@@ -272,7 +272,7 @@ def test_the_probe_writes_only_when_no_commit_is_fresh(path):
 def test_the_probe_notices_that_the_file_is_gone(path):
     async def story():
         async with opened(path) as store:
-            await store.append(make_entry(1))
+            await store.append([make_entry(1)])
             path.unlink()
             with pytest.raises(StoreError, match="gone"):
                 await store.probe()

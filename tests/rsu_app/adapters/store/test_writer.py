@@ -177,3 +177,17 @@ def test_a_loop_that_is_gone_does_not_stop_the_writer(path):
     release.set()
     asyncio.run(end(writer))
     assert passages_count(path) == 2
+
+
+def test_a_writer_that_is_stuck_can_be_seen_without_asking_it(path):
+    async def story():
+        async with writing(path) as writer:
+            release, holding = await hold_up(writer)
+            began_s = writer.busy_s
+            assert began_s > 0.0
+            assert writer.busy_s > began_s
+            release.set()
+            await holding
+        assert writer.busy_s == 0.0
+
+    asyncio.run(story())
