@@ -11,11 +11,12 @@ from collections.abc import Callable
 from functools import partial
 
 import numpy as np
-from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
+from bench.certified import NOW_UNIX_S, VERIFIER, claims_for, rightful_signer_of
 from bench.measurement import ROADS, cost_s, keep_figures, parser_of, table_of
+from roadgrip.exchange import FROM_UNIT, FROM_VEHICLE, message_of
 from roadgrip.features import NEWEST_TABLE, TABLES
-from roadgrip.frames import exchange_id_of, parse_frame, section_key_of, split_into_frames
+from roadgrip.frames import Complete, exchange_id_of, parse_frame, section_key_of, split_into_frames
 from roadgrip.records import (
     Accepted,
     Advisory,
@@ -33,17 +34,12 @@ from roadgrip.records import (
 )
 from roadgrip.section import RoadSection
 from roadgrip.sections import read_section
-from roadgrip.signing import Signer, Verifier, key_id_of
 from roadgrip.units import kph_to_mps
 from roadgrip.wire import decode_message, encode_message, kind_of
 
 COLUMNS = ("ARRIVAL", "MAP", "ADVISORY", "SUMMARY", "RECEIPT", "BEACON")
 EXCHANGE = COLUMNS[:5]
 """What one passage sends; a beacon is nobody's."""
-
-_KEY = Ed25519PrivateKey.from_private_bytes(bytes(range(32)))
-SIGNER = Signer(key_id_of(_KEY.public_key()), _KEY)
-VERIFIER = Verifier({SIGNER.key_id: _KEY.public_key()}, required=True)
 
 
 def exchange_messages(section: RoadSection) -> dict[str, Message]:
@@ -74,12 +70,24 @@ def exchange_messages(section: RoadSection) -> dict[str, Message]:
     return {kind_of(message).name: message for message in messages}
 
 
-def frames_of(message: Message, section: RoadSection, *, signer: Signer | None) -> tuple[bytes, ...]:
+def encoded(message: Message, section: RoadSection, *, signed: bool) -> bytes:
+    """Return the bytes of a message, signed by who may say so if it is to be."""
+    if not signed:
+        return encode_message(message)
+    return encode_message(
+        message,
+        signer=rightful_signer_of(message),
+        exchange_id=exchange_id_of(bytes(range(16))),
+        claims=claims_for(message, section_id=section.section_id, map_version=section.version),
+    )
+
+
+def frames_of(message: Message, section: RoadSection, *, signed: bool) -> tuple[bytes, ...]:
     """Return the frames of a message."""
     exchange_id = exchange_id_of(bytes(range(16)))
     return split_into_frames(
         kind_of(message),
-        encode_message(message, signer=signer, exchange_id=exchange_id),
+        encoded(message, section, signed=signed),
         exchange_id=exchange_id,
         section_key=section_key_of(section.section_id),
     )
@@ -96,14 +104,14 @@ def size_table() -> str:
     ]
     for name in ROADS:
         section = read_section(name)
-        for signer in (None, SIGNER):
+        for signed in (False, True):
             frames = {
-                kind: frames_of(message, section, signer=signer) for kind, message in exchange_messages(section).items()
+                kind: frames_of(message, section, signed=signed) for kind, message in exchange_messages(section).items()
             }
             cells = [_cell(frames[kind]) for kind in COLUMNS]
             whole = [frame for kind in EXCHANGE for frame in frames[kind]]
             lines.append(
-                f"| {section.name}, {section.length_m:.0f} m | {len(section.nodes_m)} | {'yes' if signer else 'no'} "
+                f"| {section.name}, {section.length_m:.0f} m | {len(section.nodes_m)} | {'yes' if signed else 'no'} "
                 f"| {' | '.join(cells)} | {sum(map(len, whole))} bytes in {len(whole)} frames |"
             )
     return "\n".join(lines) + "\n"
@@ -124,15 +132,23 @@ def message_costs_us(section: RoadSection) -> dict[str, dict[str, float]]:
     exchange_id, section_key = exchange_id_of(bytes(range(16))), section_key_of(section.section_id)
     costs = {}
     for name, message in exchange_messages(section).items():
-        kind, plain, signed = kind_of(message), encode_message(message), encode_message(message, signer=SIGNER)
+        kind, plain, signed = kind_of(message), encode_message(message), encoded(message, section, signed=True)
+        believe = partial(
+            message_of,
+            Complete(kind, section_key, exchange_id, signed),
+            expected=FROM_UNIT | FROM_VEHICLE,
+            verifier=VERIFIER,
+            required=True,
+            now_unix_s=NOW_UNIX_S,
+        )
         cut = partial(split_into_frames, kind, plain, exchange_id=exchange_id, section_key=section_key)
         costs[name] = {
             "encode": cost_us(partial(encode_message, message)),
-            "and sign": cost_us(partial(encode_message, message, signer=SIGNER)),
+            "and sign": cost_us(partial(encoded, message, section, signed=True)),
             "cut into frames": cost_us(cut),
             "parse a frame": cost_us(partial(parse_frame, cut()[0])),
             "decode": cost_us(partial(decode_message, kind, plain)),
-            "and verify": cost_us(partial(decode_message, kind, signed, verifier=VERIFIER)),
+            "and believe": cost_us(believe),
         }
     return costs
 

@@ -26,7 +26,7 @@ if __name__ == "__main__":
     # As a script the folder of this file is searched; the package `bench` lies beside it.
     sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from bench.bench_wire import SIGNER
+from bench.certified import VEHICLE
 from bench.measurement import ROADS, cost_s, keep_figures, processor, table_of
 from bench.speed import float_loop, with_scipy
 from bench.speed.footprint import fresh_figures, installed, installed_mb, live_figures
@@ -83,7 +83,7 @@ def summarised(trace: Trace, section: RoadSection) -> Summarised:
 def frames_of(result: Summarised, section: RoadSection) -> tuple[bytes, ...]:
     """Return the signed frames that bring a summary to the road side unit."""
     passage = Passage(bytes(range(16)), section.section_id, section.version, result.summary, 1.0)
-    codec = WireCodec(passage.passage_id, section_id=section.section_id, timeout_s=5.0, signer=SIGNER)
+    codec = WireCodec(passage.passage_id, section_id=section.section_id, timeout_s=5.0, signer=VEHICLE)
     return codec.frames_of(passage)
 
 

@@ -13,9 +13,10 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from itertools import pairwise
 from math import exp, isfinite, isnan
+from typing import Any
 
 from roadgrip.envelope import DrivingEnvelope
 from roadgrip.errors import BundleError
@@ -216,9 +217,25 @@ def bundle_id_of(models: Sequence[ModelManifest], files_sha256: Mapping[str, str
         models: The bundle's models.
         files_sha256: SHA-256 of every file of the bundle; one that is missing counts as the empty text.
     """
-    said = [[asdict(model), [files_sha256.get(name, "") for name in model.files]] for model in models]
-    text = json.dumps(said, sort_keys=True, separators=(",", ":"))
-    return hashlib.sha256(text.encode()).hexdigest()[:16]
+    digest = hashlib.sha256(b"[")
+    for place, model in enumerate(models):
+        # One after another: the text of all of them would be the largest thing that a unit ever makes.
+        said = [model, [files_sha256.get(name, "") for name in model.files]]
+        text = json.dumps(said, sort_keys=True, separators=(",", ":"), default=_plain)
+        digest.update((text if place == 0 else f",{text}").encode())
+    digest.update(b"]")
+    return digest.hexdigest()[:16]
+
+
+def _plain(value: Any) -> dict[str, Any] | list[Any]:
+    """Return a record as its fields, an array as lists: what JSON asks for where it does not know better.
+
+    Without copies of all that is inside, as `dataclasses.asdict` would make them.
+    """
+    if is_dataclass(value):
+        return {each.name: getattr(value, each.name) for each in fields(value)}
+    listed: list[Any] = value.tolist()
+    return listed
 
 
 def check_files(manifest: BundleManifest, files: dict[str, bytes]) -> None:

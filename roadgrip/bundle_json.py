@@ -28,6 +28,7 @@ from roadgrip.bundle import (
 )
 from roadgrip.envelope import DrivingEnvelope
 from roadgrip.errors import BundleError
+from roadgrip.units import FloatArray
 
 FORMAT_VERSION = 3
 _NUMBERS = re.compile(r"\[\s+([^\[\]{}\"]+?)\s+\]")
@@ -69,7 +70,7 @@ def manifest_from_json(text: str) -> BundleManifest:
             provenance={str(k): str(v) for k, v in raw["provenance"].items()},
             files_sha256={str(k): str(v) for k, v in raw["files_sha256"].items()},
         )
-    except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError, RecursionError) as error:
         message = f"not a bundle manifest: {type(error).__name__} at {error}"
         raise BundleError(message) from error
     check_manifest(manifest)
@@ -150,15 +151,14 @@ def _packed(matrices: Sequence[Any]) -> dict[str, Any]:
     return {"shape": list(values.shape), _PACKED_KEY: base64.b64encode(short.tobytes()).decode()}
 
 
-def _unpacked(raw: dict[str, Any]) -> tuple[tuple[tuple[float, ...], ...], ...]:
+def _unpacked(raw: dict[str, Any]) -> FloatArray:
     kinds, rows, columns = (int(size) for size in raw["shape"])
     try:
         content = base64.b64decode(raw[_PACKED_KEY], validate=True)
     except binascii.Error as error:
         message = f"{_PACKED_KEY}: {error}"
         raise ValueError(message) from error
-    values = np.frombuffer(content, dtype="<f4").astype(np.float64).reshape(kinds, rows, columns)
-    return tuple(tuple(tuple(row) for row in kind) for kind in values.tolist())
+    return np.frombuffer(content, dtype="<f4").astype(np.float64).reshape(kinds, rows, columns)
 
 
 def _floats(raw: Sequence[Any]) -> tuple[float, ...]:

@@ -55,13 +55,36 @@ def strict_loads(data: bytes) -> Any:
             allow_indefinite=False,
             allow_duplicate_keys=False,
         )
-        # The proof of determinism is also that of completeness: a byte behind the item would be missing here.
-        if cbor2.dumps(value, canonical=True) == data:
+        # The proof of determinism is also that of completeness: a byte behind the item would be missing here. The order
+        # of keys is looked at apart, which takes half the time of having them sorted.
+        if cbor2.dumps(value) == data and _in_order(value):
             return value
         problem = "not the deterministic encoding, or bytes behind it"
     except (cbor2.CBORError, ValueError, TypeError, OverflowError, RecursionError, MemoryError) as error:
         problem = str(error)
     raise WireError(Reason.MALFORMED, f"CBOR: {problem[:120]}")
+
+
+def _in_order(value: object) -> bool:
+    """Return whether the keys of every map are whole numbers in order: ascending, the negative ones at the end."""
+    if type(value) is dict:
+        last = (False, -1)
+        for key, inner in value.items():
+            if type(key) is not int:
+                return False
+            place = (key < 0, abs(key))
+            if place <= last:
+                return False
+            last = place
+            if type(inner) in _CONTAINERS and not _in_order(inner):
+                return False
+        return True
+    if type(value) is list:
+        return all(_in_order(inner) for inner in value if type(inner) in _CONTAINERS)
+    return type(value) is not cbor2.CBORTag or _in_order(value.value)
+
+
+_CONTAINERS = frozenset({dict, list, cbor2.CBORTag})
 
 
 def _our_tag(tag: cbor2.CBORTag, immutable: bool) -> cbor2.CBORTag:  # noqa: ARG001, FBT001 - cbor2 calls it so

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 
 import numpy as np
 
+from roadgrip.units import FloatArray
 
-@dataclass(frozen=True, slots=True)
+
+@dataclass(frozen=True, slots=True, eq=False)
 class DrivingEnvelope:
     """What ordinary driving looks like, as a manifest can hold it.
 
@@ -22,7 +25,8 @@ class DrivingEnvelope:
         cut_ratio: Largest magnitude of a scaled feature; what is further out counts as this far out.
         share_frac: How frequent each kind is; they sum to 1. (k,)
         middle_ratio: Scaled features in the middle of each kind. (k, d)
-        whitening_ratio: W of each kind; its determinant is positive. (k, d, d)
+        whitening_ratio: W of each kind; its determinant is positive. Kept as an array that nobody can change: as
+            numbers of their own these matrices take a unit seven times the memory. (k, d, d)
         limit_level: Strangeness from which a drive counts as strange.
     """
 
@@ -32,10 +36,13 @@ class DrivingEnvelope:
     cut_ratio: float
     share_frac: tuple[float, ...]
     middle_ratio: tuple[tuple[float, ...], ...]
-    whitening_ratio: tuple[tuple[tuple[float, ...], ...], ...]
+    whitening_ratio: FloatArray | Sequence[Sequence[Sequence[float]]]
     limit_level: float
 
     def __post_init__(self) -> None:
+        whitening = np.array(self.whitening_ratio, dtype=np.float64)
+        whitening.setflags(write=False)
+        object.__setattr__(self, "whitening_ratio", whitening)
         width, kinds = len(self.columns), len(self.share_frac)
         shapes = (np.shape(self.lower), np.shape(self.upper), np.shape(self.middle_ratio))
         if shapes != ((width,), (width,), (kinds, width)) or np.shape(self.whitening_ratio) != (kinds, width, width):
@@ -51,3 +58,13 @@ class DrivingEnvelope:
             raise ValueError("shares and the cut are positive")
         if any(sign <= 0.0 for sign, _ in map(np.linalg.slogdet, np.asarray(self.whitening_ratio))):
             raise ValueError("the matrix of a kind of driving has no positive determinant")
+
+    def __eq__(self, other: object) -> bool:
+        """Return whether all figures are the same."""
+        if not isinstance(other, DrivingEnvelope):
+            return NotImplemented
+        return all(np.array_equal(getattr(self, each.name), getattr(other, each.name)) for each in fields(self))
+
+    def __hash__(self) -> int:
+        """Return what two envelopes of the same figures have in common."""
+        return hash((self.columns, self.share_frac, self.limit_level))

@@ -10,7 +10,8 @@ Expected outcomes (a summary that comes too late, a passage outside the training
     |-- FeatureTableError    two feature tables that should be one
     |-- BundleError          a model bundle that must not be trusted
     |-- StoreError           the passage store cannot do what it must
-    |   `-- StoreFullError   its queue or its disk has no room
+    |   |-- StoreFullError     its queue or its disk has no room
+    |   `-- StoreDamagedError  what it has written is no longer what it wrote
     `-- ConfigurationError   settings that contradict themselves or the machine
 
 The tree knows no transport: one table in the HTTP adapter maps it to status codes.
@@ -64,6 +65,10 @@ class StoreError(RoadgripError):
 
 class StoreFullError(StoreError):
     """The store's queue or its disk has no room; try again later."""
+
+
+class StoreDamagedError(StoreError):
+    """What the store has written is no longer what it wrote; it goes on only with another file."""
 
 
 class ConfigurationError(RoadgripError):

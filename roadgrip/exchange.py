@@ -12,6 +12,7 @@ from collections import OrderedDict
 from dataclasses import dataclass, field
 from enum import Enum
 
+from roadgrip.belief import REPLAY_WINDOW_S, check_unit, check_vehicle
 from roadgrip.errors import WireError
 from roadgrip.frames import Complete, Frame, exchange_id_of, section_key_of
 from roadgrip.protocol import Kind
@@ -23,34 +24,47 @@ from roadgrip.records import (
     Arrival,
     Beacon,
     MapOffer,
-    Message,
     Passage,
     Receipt,
 )
 from roadgrip.signing import Verifier
-from roadgrip.wire import decode_message
+from roadgrip.wire import Received, open_message
 
 FROM_VEHICLE = frozenset({Kind.ARRIVAL, Kind.SUMMARY})
 """What a unit reads."""
-FROM_UNIT = frozenset({Kind.MAP, Kind.ADVISORY, Kind.RECEIPT, Kind.BEACON})
+FROM_UNIT = frozenset({Kind.COOKIE, Kind.MAP, Kind.ADVISORY, Kind.RECEIPT, Kind.BEACON})
 """What a vehicle reads."""
 
 
-def message_of(complete: Complete, *, expected: frozenset[Kind], verifier: Verifier | None = None) -> Message:
-    """Return the message that a reassembler completed, if it belongs to the exchange and section of its frames.
+def message_of(
+    complete: Complete,
+    *,
+    expected: frozenset[Kind],
+    verifier: Verifier | None = None,
+    required: bool = False,
+    now_unix_s: float | None = None,
+    replay_window_s: float = REPLAY_WINDOW_S,
+) -> Received:
+    """Return the message that a reassembler completed, if it belongs to its frames and is believed.
 
     Args:
         complete: What `roadgrip.frames.Reassembler.offer` gave.
         expected: Which kinds the receiver reads, `FROM_VEHICLE` or `FROM_UNIT`.
-        verifier: See `roadgrip.wire.decode_message`.
+        verifier: Who is believed; None takes signatures off unread.
+        required: Whether an unsigned message is refused. A signed one is judged in any case, if there is a verifier.
+        now_unix_s: The receiver's wall clock; None while it cannot be trusted, and then no date is judged.
+        replay_window_s: How far from now a vehicle's message may have been sent.
 
     Raises:
-        WireError: As `decode_message`, and MALFORMED when the message is of an unexpected kind or contradicts its
-            frames' header.
+        WireError: As `roadgrip.wire.open_message` and the rules of `roadgrip.belief`, and MALFORMED when the message
+            is of an unexpected kind or contradicts its frames' header.
     """
     if complete.kind not in expected:
         raise WireError(Reason.MALFORMED, f"{complete.kind.name} flies the other way")
-    message = decode_message(complete.kind, complete.payload, verifier=verifier, exchange_id=complete.exchange_id)
+    received = open_message(
+        complete.kind, complete.payload, verifier=verifier, required=required, exchange_id=complete.exchange_id
+    )
+    message, signed = received
     passage_id: bytes | None = None
     section_id: str | None = None
     match message:
@@ -66,7 +80,12 @@ def message_of(complete: Complete, *, expected: frozenset[Kind], verifier: Verif
         raise WireError(Reason.MALFORMED, "the message belongs to another exchange than its frames")
     if section_id is not None and section_key_of(section_id) != complete.section_key:
         raise WireError(Reason.MALFORMED, "the message is about another section than its frames")
-    return message
+    if signed is not None:
+        if complete.kind in FROM_VEHICLE:
+            check_vehicle(signed, now_unix_s=now_unix_s, replay_window_s=replay_window_s)
+        else:
+            check_unit(message, signed, section_key=complete.section_key, now_unix_s=now_unix_s)
+    return received
 
 
 class FrameBudget:

@@ -50,6 +50,7 @@ BODY_LIMIT_COUNT = VEHICLE_FRAME_BUDGET + RSU_FRAME_BUDGET
 
 _HEADER = struct.Struct(">2sBB4s8sBBHI")
 _CRC = struct.Struct(">I")
+_WHOLE = struct.Struct(_HEADER.format + "I")
 _KINDS = {int(kind): kind for kind in Kind}
 
 
@@ -141,11 +142,12 @@ def parse_frame(datagram: bytes) -> Frame:
         raise WireError(Reason.OVERSIZED, f"a frame of {size} bytes; {FRAME_LIMIT_BYTES} are possible")
     if size < HEADER_BYTES or datagram[:2] != MAGIC:
         raise WireError(Reason.MALFORMED, "not a frame")
-    _, version, kind_code, section_key, exchange_id, index, count, length, message_crc = _HEADER.unpack_from(datagram)
+    _, version, kind_code, section_key, exchange_id, index, count, length, message_crc, crc = _WHOLE.unpack_from(
+        datagram
+    )
     if version != PROTOCOL_VERSION:
         raise WireError(Reason.UNSUPPORTED_VERSION, f"version {version}; this software speaks {PROTOCOL_VERSION}")
     fragment = datagram[HEADER_BYTES:]
-    (crc,) = _CRC.unpack_from(datagram, _HEADER.size)
     if zlib.crc32(fragment, zlib.crc32(datagram[: _HEADER.size])) != crc:
         raise WireError(Reason.BAD_CHECKSUM, "the frame was damaged on its way")
     kind = _KINDS.get(kind_code)

@@ -46,6 +46,7 @@ class Action(StrEnum):
     REJECTED = "rejected"
     REFUSED = "refused"
     LEDGER_BEGUN = "ledger_begun"
+    RESTORED = "restored"
 
 
 WENT_LIVE = frozenset({Action.LIVE, Action.SWITCHED, Action.ROLLED_BACK})
@@ -222,5 +223,5 @@ def entry_from_json(line: str) -> LedgerEntry:
             previous_hash=str(raw["previous_hash"]),
             entry_hash=str(raw["entry_hash"]),
         )
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
         raise LedgerError(f"not an entry of a ledger: {type(error).__name__} at {error}") from error

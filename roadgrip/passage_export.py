@@ -128,7 +128,7 @@ def head_from_json(line: str) -> ExportHead:
             ledger_hash=str(raw["ledger_hash"]),
             software=str(raw["software"]),
         )
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise ExportError(f"the head of the export: {type(error).__name__} at {error}") from error
 
 
@@ -165,14 +165,14 @@ def passage_from_json(line: str) -> ExportedPassage:
             shadow_bundle_id=None if raw["shadow_bundle_id"] is None else str(raw["shadow_bundle_id"]),
             shadow_mu=_number_or_none(raw["shadow_mu"]),
         )
-    except (KeyError, TypeError, ValueError, binascii.Error) as error:
+    except (KeyError, TypeError, ValueError, OverflowError, binascii.Error) as error:
         raise ExportError(f"a passage of the export: {type(error).__name__} at {error}") from error
 
 
 def _object(line: str, what: str) -> dict[str, Any]:
     try:
         raw = json.loads(line)
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise ExportError(f"{what} of the export is no JSON: {error}") from error
     if not isinstance(raw, dict):
         raise ExportError(f"{what} of the export is no object")

@@ -27,10 +27,13 @@ class Kind(IntEnum):
     SUMMARY = 4
     RECEIPT = 5
     BEACON = 6
+    COOKIE = 7
 
 
-FRAMES_LIMIT_COUNT: Mapping[Kind, int] = {kind: 6 if kind is Kind.MAP else 1 for kind in Kind}
-"""Into how many frames a message of each kind may be cut. Six for the map leave the unit two of its eight."""
+FRAMES_LIMIT_COUNT: Mapping[Kind, int] = {kind: 5 if kind is Kind.MAP else 1 for kind in Kind}
+"""Into how many frames a message of each kind may be cut. Five for the map leave the unit three of its eight: one each
+for COOKIE, ADVISORY and RECEIPT."""
+COOKIE_BYTES = 8
 
 REASON_CODES: Mapping[Reason, int] = {
     Reason.MALFORMED: 1,
@@ -59,6 +62,11 @@ REASON_CODES: Mapping[Reason, int] = {
     Reason.WRONG_ROAD: 24,
     Reason.PASSAGE_ABORTED: 25,
     Reason.SENSOR_FAULT: 26,
+    Reason.CERTIFICATE_EXPIRED: 27,
+    Reason.CERTIFICATE_REVOKED: 28,
+    Reason.NOT_PERMITTED: 29,
+    Reason.OUTSIDE_REPLAY_WINDOW: 30,
+    Reason.RATE_LIMITED: 31,
 }
 ADVISORY_REASON_CODES: Mapping[AdvisoryReason, int] = {
     AdvisoryReason.FRICTION_INTERVAL: 0,
@@ -85,7 +93,10 @@ def external_aad_of(kind: Kind, *, exchange_id: bytes) -> bytes:
     """Return what a signature covers besides the message, without being sent: protocol, version and kind.
 
     That of an ADVISORY also covers the exchange id, which the vehicle drew at random: an old advisory, put into new
-    frames and played again, does not verify. A MAP is as true later; the other kinds hold a passage id or their time.
+    frames and played again, does not verify. The other kinds hold a passage id, or their claims say until when.
     """
-    name = f"{PROTOCOL_NAME}/{PROTOCOL_VERSION}/{kind.name}".encode()
+    name = _EXTERNAL_AADS[kind]
     return name + b"/" + exchange_id if kind is Kind.ADVISORY else name
+
+
+_EXTERNAL_AADS = {kind: f"{PROTOCOL_NAME}/{PROTOCOL_VERSION}/{kind.name}".encode() for kind in Kind}

@@ -16,6 +16,11 @@ class Reason(StrEnum):
     UNSIGNED = "unsigned"
     BAD_SIGNATURE = "bad_signature"
     UNKNOWN_KEY = "unknown_key"
+    # Signed well, by somebody who may not say it, or not now.
+    CERTIFICATE_EXPIRED = "certificate_expired"
+    CERTIFICATE_REVOKED = "certificate_revoked"
+    NOT_PERMITTED = "not_permitted"
+    OUTSIDE_REPLAY_WINDOW = "outside_replay_window"
     # A message that does not belong here.
     UNKNOWN_SECTION = "unknown_section"
     STALE_MAP = "stale_map"
@@ -30,6 +35,7 @@ class Reason(StrEnum):
     # The receiver's own limits; the sender may try again later.
     BUDGET_EXHAUSTED = "budget_exhausted"
     BUSY = "busy"
+    RATE_LIMITED = "rate_limited"
     NO_MODEL = "no_model"
     STORE_UNAVAILABLE = "store_unavailable"
     # The vehicle keeps its summary to itself.
@@ -46,4 +52,4 @@ class Reason(StrEnum):
         return self in _MAY_RETRY
 
 
-_MAY_RETRY = frozenset({Reason.BUSY, Reason.NO_MODEL, Reason.STORE_UNAVAILABLE})
+_MAY_RETRY = frozenset({Reason.BUSY, Reason.RATE_LIMITED, Reason.NO_MODEL, Reason.STORE_UNAVAILABLE})

@@ -1,6 +1,6 @@
 """The frozen records that the packages hand to each other, and the codes they speak.
 
-`Arrival`, `MapOffer`, `AdvisoryNotice`, `Passage`, `Receipt` and `Beacon` are what goes over the air
+`Arrival`, `Cookie`, `MapOffer`, `AdvisoryNotice`, `Passage`, `Receipt` and `Beacon` are what goes over the air
 (`roadgrip.wire` turns them into bytes and back); the rest stays inside one machine.
 """
 
@@ -26,6 +26,7 @@ __all__ = [
     "Arrival",
     "Beacon",
     "Confidence",
+    "Cookie",
     "FrictionInterval",
     "KinematicSummary",
     "MapOffer",
@@ -203,11 +204,26 @@ class Arrival:
         passage_id: The id that the passage will carry; it ties the frames of one exchange together.
         section_id: The section it means.
         known_map_version: Version of the map it already has, or the empty string; then the map is not sent again.
+        cookie: What the unit gave the vehicle to show that it hears what it is sent; empty before.
     """
 
     passage_id: bytes
     section_id: str
     known_map_version: str = ""
+    cookie: bytes = b""
+
+
+@dataclass(frozen=True, slots=True)
+class Cookie:
+    """The unit's question whether an ARRIVAL came from the address it names; the vehicle repeats it with the cookie.
+
+    It must never be longer than the shortest ARRIVAL, so it names no passage: the exchange of its frame does.
+
+    Attributes:
+        cookie: 8 bytes that only this unit could have made, and only for this address and exchange.
+    """
+
+    cookie: bytes
 
 
 @dataclass(frozen=True, slots=True)
@@ -257,7 +273,7 @@ class Beacon:
     issued_unix_s: int
 
 
-Message: TypeAlias = Arrival | MapOffer | AdvisoryNotice | Passage | Receipt | Beacon
+Message: TypeAlias = Arrival | Cookie | MapOffer | AdvisoryNotice | Passage | Receipt | Beacon
 
 PASSAGE_ID_BYTES = 16
 VEHICLE_FRAME_BUDGET = 12

@@ -116,5 +116,5 @@ def release_from_json(text: str) -> Release:
             gate=str(raw["gate"]),
             ledger_hash=str(raw["ledger_hash"]),
         )
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
         raise ReleaseError(f"not a release: {type(error).__name__} at {error}") from error

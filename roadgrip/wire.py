@@ -24,6 +24,7 @@ from roadgrip.features import TABLES
 from roadgrip.protocol import (
     ADVISORY_REASON_CODES,
     CONFIDENCE_CODES,
+    COOKIE_BYTES,
     FRAGMENT_BYTES,
     FRAMES_LIMIT_COUNT,
     REASON_CODES,
@@ -38,6 +39,7 @@ from roadgrip.records import (
     AdvisoryNotice,
     Arrival,
     Beacon,
+    Cookie,
     FrictionInterval,
     KinematicSummary,
     MapOffer,
@@ -48,11 +50,12 @@ from roadgrip.records import (
     Receipt,
     Rejected,
 )
-from roadgrip.signing import Signer, Verifier, open_payload, sign
+from roadgrip.signing import NO_CLAIMS, Claims, Signed, Signer, Verifier, is_signed, open_payload, sign
 from roadgrip.units import kph_to_mps, mps_to_kph
 from roadgrip.wire_fields import (
     UINT16_MAX,
     UINT32_MAX,
+    UNIX_LIMIT_S,
     Fields,
     bytes_in,
     check_keys,
@@ -70,64 +73,95 @@ from roadgrip.wire_fields import (
 )
 from roadgrip.wire_map import map_from_fields, map_to_fields
 
-__all__ = ["Kind", "decode_message", "encode_message", "kind_of", "rounded_to_wire"]
+__all__ = ["Kind", "Received", "decode_message", "encode_message", "kind_of", "open_message", "rounded_to_wire"]
 
 M = TypeVar("M", bound=Message)
 
 DETAIL_LIMIT_CHARS = 120
 """The detail of a rejection is cut here; nobody needs it to act."""
-SUMMARY_VALUES_LIMIT_COUNT = 256
-"""More than any feature table to come has; the table's digest says how many there must be."""
-UNIX_LIMIT_S = 2**40
+SUMMARY_VALUES_LIMIT_COUNT = 224
+"""More than any feature table to come has, and as many as fit one frame with a signature; the table's digest says how
+many there must be."""
 
 _REASONS = meanings(REASON_CODES)
 _ADVISORY_REASONS = meanings(ADVISORY_REASON_CODES)
 _CONFIDENCES = meanings(CONFIDENCE_CODES)
 _ALL_QUALITY = sum(QualityFlag)
+_QUALITIES = tuple(map(QualityFlag, range(_ALL_QUALITY + 1)))
 _ALL_NOT_COUNTED = sum(NotCounted)
 _INTERVAL_FIELDS_COUNT = 10
 
 
-def encode_message(message: Message, *, signer: Signer | None = None, exchange_id: bytes = b"") -> bytes:
+class Received(NamedTuple):
+    """A message that was read.
+
+    Attributes:
+        message: What it says.
+        signed: Who has signed it and what was claimed, if it was signed and the receiver looked.
+    """
+
+    message: Message
+    signed: Signed | None
+
+
+def encode_message(
+    message: Message, *, signer: Signer | None = None, exchange_id: bytes = b"", claims: Claims = NO_CLAIMS
+) -> bytes:
     """Return the bytes of a message, the payload that `roadgrip.frames.split_into_frames` cuts.
 
     Numbers are rounded to the steps of the format, see `rounded_to_wire`.
 
     Args:
         message: The record.
-        signer: Signs it, if given.
+        signer: Signs it, if given; a COOKIE is never signed.
         exchange_id: In whose frames it flies; the signature of an ADVISORY covers it.
+        claims: What the signer says besides; see `roadgrip.belief.unit_claims` for a unit.
 
     Raises:
         WireError: The record holds what has no spelling on the air; the reason is the one a receiver would give.
     """
     kind = kind_of(message)
     payload = strict_dumps(_CODECS[kind].to_fields(message))
-    if signer is not None:
-        payload = sign(payload, signer=signer, external_aad=external_aad_of(kind, exchange_id=exchange_id))
+    if signer is not None and kind is not Kind.COOKIE:
+        aad = external_aad_of(kind, exchange_id=exchange_id)
+        payload = sign(payload, signer=signer, external_aad=aad, claims=claims)
     _check_size(kind, payload)
     return payload
 
 
-def decode_message(
-    kind: Kind, payload: bytes, *, verifier: Verifier | None = None, exchange_id: bytes = b""
-) -> Message:
-    """Return the record that the bytes of a message hold.
+def open_message(
+    kind: Kind, payload: bytes, *, verifier: Verifier | None = None, required: bool = False, exchange_id: bytes = b""
+) -> Received:
+    """Return the record that the bytes of a message hold, and who has signed it.
+
+    Whether the signer may say so, and now, is judged in `roadgrip.belief`.
 
     Args:
         kind: What the frames said it is.
         payload: The bytes, whole.
         verifier: Checks the signature; see `roadgrip.signing.open_payload` for what None means.
+        required: Whether an unsigned message is refused; a COOKIE, which decides nothing, never is.
         exchange_id: In whose frames it came.
 
     Raises:
         WireError: OVERSIZED, MALFORMED, NOT_FINITE, OUT_OF_RANGE, IMPOSSIBLE_AGE, IMPOSSIBLE_DURATION, UNSIGNED,
-            BAD_SIGNATURE or UNKNOWN_KEY.
+            BAD_SIGNATURE, UNKNOWN_KEY or CERTIFICATE_REVOKED.
     """
     _check_size(kind, payload)
-    content = open_payload(payload, verifier=verifier, external_aad=external_aad_of(kind, exchange_id=exchange_id))
-    message: Message = _CODECS[kind].from_fields(strict_loads(content))
-    return message
+    content, signed = payload, None
+    if (required or is_signed(payload)) and kind is not Kind.COOKIE:
+        aad = external_aad_of(kind, exchange_id=exchange_id)
+        content, signed = open_payload(payload, verifier=verifier, required=required, external_aad=aad)
+    return Received(_CODECS[kind].from_fields(strict_loads(content)), signed)
+
+
+def decode_message(kind: Kind, payload: bytes) -> Message:
+    """Return the record that the bytes of a message hold, for readers who do not ask who has signed it.
+
+    Raises:
+        WireError: As `open_message`.
+    """
+    return open_message(kind, payload).message
 
 
 def kind_of(message: Message) -> Kind:
@@ -155,23 +189,44 @@ def _check_size(kind: Kind, payload: bytes) -> None:
         raise WireError(Reason.OVERSIZED, f"{kind.name} of {len(payload)} bytes; {limit} are possible")
 
 
-# ARRIVAL
+# ARRIVAL and COOKIE
+
+_ARRIVAL_KEYS = frozenset({0, 1})
+_ARRIVAL_OPTIONAL = frozenset({2, 3})
 
 
 def _arrival_to_fields(arrival: Arrival) -> Fields:
     fields: Fields = {0: checked_passage_id(arrival.passage_id), 1: checked_section_id(arrival.section_id)}
     if arrival.known_map_version:
         fields[2] = digest_bytes(arrival.known_map_version, name="the map version")
+    if arrival.cookie:
+        fields[3] = _checked_cookie(arrival.cookie)
     return fields
 
 
 def _arrival_from_fields(value: object) -> Arrival:
-    fields = check_keys(value, required=frozenset({0, 1}), optional=frozenset({2}))
+    fields = check_keys(value, required=_ARRIVAL_KEYS, optional=_ARRIVAL_OPTIONAL)
     return Arrival(
         passage_id=bytes_in(fields, 0, size=PASSAGE_ID_BYTES, name="the passage id"),
         section_id=checked_section_id(fields[1]),
         known_map_version=digest_in(fields, 2, name="the map version") if 2 in fields else "",
+        cookie=bytes_in(fields, 3, size=COOKIE_BYTES, name="the cookie") if 3 in fields else b"",
     )
+
+
+def _cookie_to_fields(cookie: Cookie) -> Fields:
+    return {0: _checked_cookie(cookie.cookie)}
+
+
+def _cookie_from_fields(value: object) -> Cookie:
+    fields = check_keys(value, required=frozenset({0}))
+    return Cookie(bytes_in(fields, 0, size=COOKIE_BYTES, name="the cookie"))
+
+
+def _checked_cookie(cookie: bytes) -> bytes:
+    if len(cookie) != COOKIE_BYTES:
+        raise WireError(Reason.MALFORMED, f"a cookie is {COOKIE_BYTES} bytes")
+    return cookie
 
 
 # ADVISORY and BEACON
@@ -356,7 +411,7 @@ def _summary_from_fields(value: object) -> Passage:
             values=values,
             table_digest=table_digest,
             duration_s=int_in(fields, 5, name="the duration", reason=Reason.IMPOSSIBLE_DURATION) / 100,
-            quality=QualityFlag(int_in(fields, 6, name="the quality", high=_ALL_QUALITY)),
+            quality=_QUALITIES[int_in(fields, 6, name="the quality", high=_ALL_QUALITY)],
         ),
         age_s=int_in(fields, 7, name="the age", reason=Reason.IMPOSSIBLE_AGE) / 100,
     )
@@ -404,6 +459,7 @@ _CODECS: Mapping[Kind, _Codec] = {
     Kind.SUMMARY: _Codec(_summary_to_fields, _summary_from_fields),
     Kind.RECEIPT: _Codec(_receipt_to_fields, _receipt_from_fields),
     Kind.BEACON: _Codec(_beacon_to_fields, _beacon_from_fields),
+    Kind.COOKIE: _Codec(_cookie_to_fields, _cookie_from_fields),
 }
 _KINDS: Mapping[type, Kind] = {
     Arrival: Kind.ARRIVAL,
@@ -412,4 +468,5 @@ _KINDS: Mapping[type, Kind] = {
     Passage: Kind.SUMMARY,
     Receipt: Kind.RECEIPT,
     Beacon: Kind.BEACON,
+    Cookie: Kind.COOKIE,
 }

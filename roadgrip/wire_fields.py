@@ -5,6 +5,7 @@ What writes refuses what could not be read back, with the same reason: a message
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from math import isfinite
 from typing import Any, TypeAlias, TypeVar
@@ -20,9 +21,10 @@ Fields: TypeAlias = dict[int, Any]
 
 UINT16_MAX = 2**16 - 1
 UINT32_MAX = 2**32 - 1
+UNIX_LIMIT_S = 2**40
 DIGEST_BYTES = 8
-SECTION_ID_LIMIT_CHARS = 48
-_SECTION_ID_CHARS = frozenset("abcdefghijklmnopqrstuvwxyz0123456789-")
+_SECTION_ID = re.compile(r"[a-z0-9-]{1,48}")
+_INT_ALONE = frozenset({int})
 
 E = TypeVar("E")
 
@@ -97,7 +99,7 @@ def check_keys(fields: object, *, required: frozenset[int], optional: frozenset[
         raise WireError(Reason.MALFORMED, "a message is a map")
     keys = fields.keys()
     # True, 1.0 and the simple value 1 all equal the key 1, and would be other spellings of the same message.
-    if required <= keys <= required | optional and all(type(key) is int for key in keys):
+    if (keys == required or required <= keys <= required | optional) and _INT_ALONE.issuperset(map(type, keys)):
         return fields
     raise WireError(Reason.MALFORMED, f"the message has the keys {sorted(map(repr, keys))[:20]}")
 
@@ -143,11 +145,7 @@ def checked_section_id(section_id: object) -> str:
     Raises:
         WireError: MALFORMED.
     """
-    if (
-        type(section_id) is str
-        and 0 < len(section_id) <= SECTION_ID_LIMIT_CHARS
-        and _SECTION_ID_CHARS.issuperset(section_id)
-    ):
+    if type(section_id) is str and _SECTION_ID.fullmatch(section_id):
         return section_id
     raise WireError(Reason.MALFORMED, "a section id is 1 to 48 lower-case letters, digits and hyphens")
 

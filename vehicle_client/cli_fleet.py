@@ -16,11 +16,12 @@ import typer
 from vehicle_client.cli_options import (
     DEFAULT_UNIT,
     AsJson,
+    Authorities,
     BaseFriction,
+    Credentials,
+    Revocations,
     Section,
     Sensors,
-    SigningKey,
-    TrustedKeys,
     Unit,
     road_of,
 )
@@ -62,8 +63,9 @@ def fleet(  # noqa: PLR0917 - typer reads options by name
     spool: Annotated[
         Path | None, typer.Option(help="Folder for summaries without a receipt; a temporary one if left out.")
     ] = None,
-    signing_key: SigningKey = None,
-    trusted_key: TrustedKeys = None,
+    credential: Credentials = None,
+    authority: Authorities = None,
+    revocations: Revocations = None,
     as_json: AsJson = False,
 ) -> None:
     """Let simulated vehicles drive a section and report to a road side unit.
@@ -80,7 +82,7 @@ def fleet(  # noqa: PLR0917 - typer reads options by name
     from vehicle_client.shell.uplink import AirFaults, parse_unit_address
     from vehicle_client.shell.views import fleet_report_table, fleet_report_to_json
 
-    keys = read_keys(signing_key, trusted_key or [])
+    keys = read_keys(credential or (), authority or (), revocations)
     address = parse_unit_address(rsu)
     plan = FleetPlan(
         section=asyncio.run(road_of(section, address, keys)),

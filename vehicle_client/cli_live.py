@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from roadgrip.errors import ConfigurationError
-from vehicle_client.cli_options import Memory, SigningKey, TrustedKeys
+from vehicle_client.cli_options import Authorities, Credentials, Memory, Revocations
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -68,7 +68,7 @@ def live(  # noqa: PLR0917 - typer reads options by name
     beacon_age: Annotated[
         float,
         typer.Option(
-            min=0.0, help="Seconds; a beacon issued longer ago is refused. 0 believes all: no wall clock here."
+            min=0.0, help="Seconds; a beacon issued longer ago is refused. 0: no wall clock here, no date is judged."
         ),
     ] = 60.0,
     spool: Annotated[Path, typer.Option(help="Folder for summaries that wait for a unit.")] = Path("roadgrip-spool"),
@@ -89,8 +89,9 @@ def live(  # noqa: PLR0917 - typer reads options by name
     counters_every: Annotated[
         float, typer.Option(min=1.0, help="Seconds between two lines with counters in the log.")
     ] = 600.0,
-    signing_key: SigningKey = None,
-    trusted_key: TrustedKeys = None,
+    credential: Credentials = None,
+    authority: Authorities = None,
+    revocations: Revocations = None,
 ) -> None:
     """Run in a car: follow the sensors, tell the driver what units advise, report every passage.
 
@@ -98,7 +99,7 @@ def live(  # noqa: PLR0917 - typer reads options by name
     the client within a second, SIGUSR1 writes the counters.
     """
     from roadgrip.sections import read_section
-    from vehicle_client.shell.keys import read_keys
+    from vehicle_client.shell.keys import no_clock, read_keys, wall_clock_unix_s
     from vehicle_client.shell.live.dashboard import parse_dashboard_address
     from vehicle_client.shell.live.settings import LiveSettings
     from vehicle_client.shell.uplink import parse_unit_address
@@ -114,7 +115,9 @@ def live(  # noqa: PLR0917 - typer reads options by name
         settings = LiveSettings(
             spool_folder=spool,
             vehicle=car if vehicle is None else _vehicle(vehicle),
-            keys=read_keys(signing_key, trusted_key or []),
+            keys=read_keys(
+                credential or (), authority or (), revocations, unix_s=wall_clock_unix_s if beacon_age else no_clock
+            ),
             unit=None if rsu in {AUTO, NOBODY} else parse_unit_address(rsu),
             beacons=None if beacons == NOBODY else _host_and_port(beacons),
             beacon_age_limit_s=beacon_age or inf,

@@ -69,12 +69,25 @@ BaseFriction = Annotated[
 Sensors = Annotated[SensorGrade, typer.Option(help="`ideal` sensors, or what a production car carries.")]
 Seed = Annotated[int, typer.Option(min=0, help="The same seed brings the same vehicles, drives and losses.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Write JSON for a machine; progress goes to standard error.")]
-SigningKey = Annotated[
-    Path | None, typer.Option("--signing-key", help="Ed25519 private key (PEM) that signs what the vehicle sends.")
-]
-TrustedKeys = Annotated[
+Credentials = Annotated[
     list[Path] | None,
-    typer.Option("--trusted-key", help="Ed25519 public key (PEM) of a unit; repeat it. Answers must then be signed."),
+    typer.Option(
+        "--credential",
+        metavar="PATH",
+        help="A pseudonym to sign with (private key and certificate, PEM), or a folder of them; a passage takes one.",
+    ),
+]
+Authorities = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--authority",
+        metavar="PATH",
+        help="Public key (PEM) of an authority that certifies units, or a folder of them. Answers must then be signed.",
+    ),
+]
+Revocations = Annotated[
+    Path | None,
+    typer.Option("--revocations", metavar="FILE", help="The authority's signed list of revoked certificates."),
 ]
 
 

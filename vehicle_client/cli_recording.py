@@ -16,12 +16,13 @@ from roadgrip.errors import ConfigurationError
 from vehicle_client.cli_options import (
     DEFAULT_UNIT,
     AsJson,
+    Authorities,
+    Credentials,
     Format,
     Memory,
+    Revocations,
     Section,
     Signals,
-    SigningKey,
-    TrustedKeys,
     Unit,
     Vehicle,
     road_of,
@@ -59,8 +60,9 @@ def replay(  # noqa: PLR0917 - typer reads options by name
     to_s: ToS = inf,
     memory: Memory = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Summarise only; send nothing.")] = False,
-    signing_key: SigningKey = None,
-    trusted_key: TrustedKeys = None,
+    credential: Credentials = None,
+    authority: Authorities = None,
+    revocations: Revocations = None,
     as_json: AsJson = False,
 ) -> None:
     """Send recorded drives as if each had just ended.
@@ -77,7 +79,7 @@ def replay(  # noqa: PLR0917 - typer reads options by name
     from vehicle_client.shell.replay import replay_table, replay_to_json, summarise_recording
     from vehicle_client.shell.uplink import parse_unit_address
 
-    keys = read_keys(signing_key, trusted_key or [])
+    keys = read_keys(credential or (), authority or (), revocations)
     address = parse_unit_address(rsu)
     road: RoadSection | None = None
     shown, went_well = [], True

@@ -90,7 +90,7 @@ def profile_of_toml(text: str, *, place: str) -> VehicleProfile:
     """
     try:
         table = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:  # also a number of 5,000 digits, and a thousand brackets
         raise ConfigurationError(f"{place} is no TOML: {error}") from error
     unknown = sorted(set(table) - {"name", "geometry", "observer", "handling", "noise", "memory"})
     if unknown:

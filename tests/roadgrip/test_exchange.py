@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from bench.certified import VERIFIER
 from roadgrip.errors import WireError
 from roadgrip.exchange import FROM_UNIT, FROM_VEHICLE, ExchangeLedger, FrameBudget, Reception, message_of
 from roadgrip.frames import (
@@ -21,7 +22,7 @@ from roadgrip.frames import (
 from roadgrip.reasons import Reason
 from roadgrip.records import RSU_FRAME_BUDGET, VEHICLE_FRAME_BUDGET, Message, Passage, Receipt, Rejected
 from roadgrip.wire import Kind, encode_message, kind_of
-from tests.roadgrip.wire_samples import PASSAGE, PASSAGE_ID, SAMPLES, SECTION, VERIFIER
+from tests.roadgrip.wire_samples import PASSAGE, PASSAGE_ID, SAMPLES, SECTION
 
 EXCHANGE_ID = exchange_id_of(PASSAGE_ID)
 SECTION_KEY = section_key_of(SECTION.section_id)
@@ -46,7 +47,7 @@ def ledger(*, limit_count: int = 100, timeout_s: float = 7200.0) -> ExchangeLedg
 
 @pytest.mark.parametrize("name", [name for name in SAMPLES if name != "map-in-pieces"])
 def test_a_message_that_agrees_with_its_frames_is_read(name):
-    assert message_of(completed(SAMPLES[name]), expected=FROM_VEHICLE | FROM_UNIT) == SAMPLES[name]
+    assert message_of(completed(SAMPLES[name]), expected=FROM_VEHICLE | FROM_UNIT).message == SAMPLES[name]
 
 
 @pytest.mark.parametrize("name", ["arrival", "summary", "receipt-accepted"])
@@ -76,13 +77,13 @@ def test_a_message_that_flies_the_other_way_is_not_even_read():
 
 def test_the_verifier_is_asked():
     with pytest.raises(WireError) as caught:
-        message_of(completed(PASSAGE), expected=FROM_VEHICLE, verifier=VERIFIER)
+        message_of(completed(PASSAGE), expected=FROM_VEHICLE, verifier=VERIFIER, required=True)
     assert caught.value.reason is Reason.UNSIGNED
 
 
 def test_the_receipt_of_an_unread_message_belongs_to_its_exchange():
     receipt = Receipt(unread_passage_id(EXCHANGE_ID), Rejected(Reason.MALFORMED))
-    assert message_of(completed(receipt), expected=FROM_UNIT) == receipt
+    assert message_of(completed(receipt), expected=FROM_UNIT).message == receipt
 
 
 def test_a_summary_sent_again_with_a_greater_age_arrives_with_the_age_of_the_frame_that_arrived():
@@ -95,7 +96,7 @@ def test_a_summary_sent_again_with_a_greater_age_arrives_with_the_age_of_the_fra
         )
         complete = assembly.offer(parse_frame(datagram), source="vehicle", now_s=age_s)
         assert complete is not None
-        message = message_of(complete, expected=FROM_VEHICLE)
+        message = message_of(complete, expected=FROM_VEHICLE).message
         assert isinstance(message, Passage)
         ages_s.append(message.age_s)
     assert ages_s == [0.5, 1.7, 600.0]

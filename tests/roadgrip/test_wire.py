@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 
+from bench.certified import rightful_signer_of, signer_of
+from roadgrip.certificates import Role
 from roadgrip.errors import WireError
 from roadgrip.features import PAPER_TABLE, road_features
 from roadgrip.protocol import (
@@ -40,7 +42,7 @@ from roadgrip.records import (
     Rejected,
 )
 from roadgrip.section import BankOrigin, Direction, build_section
-from roadgrip.signing import Signer
+from roadgrip.signing import SIGNED_MORE_BYTES, Claims, Signer
 from roadgrip.units import kph_to_mps
 from roadgrip.wire import Kind, decode_message, encode_message, kind_of, rounded_to_wire
 from tests.roadgrip.wire_samples import (
@@ -50,7 +52,6 @@ from tests.roadgrip.wire_samples import (
     MAP_OFFER,
     PASSAGE,
     PASSAGE_ID,
-    PRIVATE_KEY,
     RECEIPT,
     SAMPLES,
     SECTION,
@@ -147,7 +148,7 @@ def test_a_summary_for_another_table_is_carried_so_that_it_can_be_refused_by_its
 
 def longest_messages() -> list[Message]:
     section_id = "x" * 48
-    summary = KinematicSummary((1.0,) * 256, "00112233445566ff", 4e7, QualityFlag(31))
+    summary = KinematicSummary((1.0,) * 224, "00112233445566ff", 4e7, QualityFlag(31))
     advisory = Advisory(180.0, AdvisoryReason.FRICTION_INTERVAL, Confidence.RECOMMENDED, INTERVAL, 4e7)
     return [
         Arrival(PASSAGE_ID, section_id, SECTION.version),
@@ -160,9 +161,19 @@ def longest_messages() -> list[Message]:
     ]
 
 
+LONGEST_CLAIMS = Claims(2**40, 2**40, "x" * 48, "f" * 16)
+
+
+def longest_signer(message: Message) -> Signer:
+    """Return who may say it, under the longest certificate there is."""
+    role = rightful_signer_of(message).certificate.role
+    sections = tuple(f"{number}{'x' * 47}" for number in range(8)) if role is Role.UNIT else ()
+    return signer_of(role, section_ids=sections, valid_from_unix_s=2**40 - 1, valid_until_unix_s=2**40)
+
+
 @pytest.mark.parametrize("message", longest_messages(), ids=lambda m: type(m).__name__)
 def test_every_message_but_a_map_fits_one_frame_however_long_and_signed(message):
-    assert len(encode_message(message, signer=Signer(b"k" * 32, PRIVATE_KEY))) <= FRAGMENT_BYTES
+    assert len(encode_message(message, signer=longest_signer(message), claims=LONGEST_CLAIMS)) <= FRAGMENT_BYTES
     assert FRAMES_LIMIT_COUNT[kind_of(message)] == 1
 
 
@@ -175,9 +186,15 @@ def long_road(nodes_count: int) -> MapOffer:
     return MapOffer(dataclasses.replace(section, anchors=tuple(anchors)), (PAPER_TABLE.digest,))
 
 
-def test_a_map_of_eight_kilometres_fits_six_frames_signed():
-    payload = encode_message(long_road(830), signer=Signer(b"k" * 32, PRIVATE_KEY))
-    assert 5 * FRAGMENT_BYTES < len(payload) <= 6 * FRAGMENT_BYTES
+def test_a_map_of_six_kilometres_fits_five_frames_signed():
+    payload = encode_message(long_road(630), signer=longest_signer(MAP_OFFER), claims=LONGEST_CLAIMS)
+    assert 4 * FRAGMENT_BYTES < len(payload) <= 5 * FRAGMENT_BYTES
+
+
+@pytest.mark.parametrize("message", [MAP_OFFER, PASSAGE], ids=lambda m: type(m).__name__)
+def test_no_signature_costs_more_than_is_said(message):
+    signed = encode_message(message, signer=longest_signer(message), claims=LONGEST_CLAIMS)
+    assert len(signed) - len(encode_message(message)) <= SIGNED_MORE_BYTES
 
 
 def test_a_map_that_does_not_fit_is_refused_when_it_is_encoded():
@@ -271,10 +288,12 @@ def test_a_number_is_a_whole_number(key, value):
         (BEACON, {3: 6}, Reason.MALFORMED),
         (BEACON, {4: 3}, Reason.MALFORMED),
         (BEACON, {5: -1}, Reason.OUT_OF_RANGE),
+        (SAMPLES["arrival"], {3: b"short"}, Reason.MALFORMED),
+        (SAMPLES["cookie"], {0: b"much too long"}, Reason.MALFORMED),
         (RECEIPT, {1: 8}, Reason.OUT_OF_RANGE),
         (RECEIPT, {2: 1}, Reason.MALFORMED),  # accepted and rejected at once
         (SAMPLES["receipt-rejected"], {2: 0}, Reason.MALFORMED),
-        (SAMPLES["receipt-rejected"], {2: 27}, Reason.MALFORMED),
+        (SAMPLES["receipt-rejected"], {2: 32}, Reason.MALFORMED),
         (SAMPLES["receipt-rejected"], {3: "x" * 121}, Reason.MALFORMED),
         (SAMPLES["receipt-rejected"], {3: "\x1b[2J"}, Reason.MALFORMED),
         (ADVISORY, {2: -1}, Reason.OUT_OF_RANGE),

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.bench_wire import EXCHANGE, SIGNER, exchange_messages, frames_of, size_table
+from bench.bench_wire import EXCHANGE, exchange_messages, frames_of, size_table
 from bench.measurement import ROADS
 from roadgrip.protocol import FRAGMENT_BYTES, FRAME_LIMIT_BYTES, FRAMES_LIMIT_COUNT, HEADER_BYTES, REASON_CODES
 from roadgrip.reasons import Reason
@@ -37,11 +37,11 @@ def test_the_table_of_sizes_is_true():
 
 
 @pytest.mark.parametrize("road", ROADS)
-@pytest.mark.parametrize("signer", [None, SIGNER])
-def test_a_whole_exchange_takes_no_more_than_six_frames(road, signer):
+@pytest.mark.parametrize("signed", [False, True])
+def test_a_whole_exchange_takes_no_more_than_six_frames(road, signed):
     section = read_section(road)
     messages = exchange_messages(section)
-    frames = [frame for kind in EXCHANGE for frame in frames_of(messages[kind], section, signer=signer)]
+    frames = [frame for kind in EXCHANGE for frame in frames_of(messages[kind], section, signed=signed)]
     assert len(frames) <= 6
 
 

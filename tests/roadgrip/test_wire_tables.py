@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from bench.bench_wire import SIGNER, exchange_messages, frames_of
+from bench.bench_wire import exchange_messages, frames_of
 from roadgrip.errors import WireError
 from roadgrip.features import PAPER_TABLE, TABLES, FeatureTable
 from roadgrip.protocol import Kind
@@ -35,7 +35,7 @@ def exchange_frames_count(section, table: FeatureTable) -> int:
         passage_of(table), passage_id=bytes(range(16)), section_id=section.section_id, map_version=section.version
     )
     messages |= {"MAP": MapOffer(section, (*TABLES, WIDER_TABLE.digest)), "SUMMARY": passage}
-    return sum(len(frames_of(messages[kind], section, signer=SIGNER)) for kind in EXCHANGE)
+    return sum(len(frames_of(messages[kind], section, signed=True)) for kind in EXCHANGE)
 
 
 @pytest.mark.parametrize("road", PAPER_ROADS)
@@ -47,7 +47,7 @@ def test_an_exchange_stays_within_six_frames(road, table):
 def test_a_summary_is_one_frame_however_wide_its_table():
     section = packaged(PAPER_ROADS[0])
     for table in (*TABLES.values(), WIDER_TABLE):
-        assert len(frames_of(passage_of(table), section, signer=SIGNER)) == 1
+        assert len(frames_of(passage_of(table), section, signed=True)) == 1
 
 
 def test_every_table_has_its_own_number_of_statistics(wider_table):

@@ -13,12 +13,13 @@ from typing import Any
 
 import numpy as np
 
+from bench.certified import VERIFIER, claims_for, rightful_signer_of
 from roadgrip.frames import Reassembler, exchange_id_of, parse_frame, section_key_of, split_into_frames
 from roadgrip.records import Message
 from roadgrip.section import RoadSection
-from roadgrip.signing import Signer
-from roadgrip.wire import decode_message, encode_message, kind_of
-from tests.roadgrip.wire_samples import PASSAGE_ID, SAMPLES, SIGNER, VERIFIER
+from roadgrip.signing import NO_CLAIMS
+from roadgrip.wire import Received, encode_message, kind_of, open_message
+from tests.roadgrip.wire_samples import PASSAGE_ID, SAMPLES, SECTION
 
 FOLDER = Path(__file__).resolve().parents[1] / "golden" / "wire" / "v1"
 SIGNED = ("arrival", "map", "advisory", "summary", "receipt-accepted", "beacon")
@@ -30,24 +31,35 @@ def section_id_of(message: Message) -> str:
     return section.section_id if section is not None else getattr(message, "section_id", "winding-road")
 
 
-def frames_of(message: Message, *, signer: Signer | None) -> tuple[bytes, ...]:
+def frames_of(message: Message, *, signed: bool) -> tuple[bytes, ...]:
     exchange_id = exchange_id_of(PASSAGE_ID)
+    section_id = section_id_of(message)
+    claims = claims_for(message, section_id=section_id, map_version=SECTION.version) if signed else NO_CLAIMS
     return split_into_frames(
         kind_of(message),
-        encode_message(message, signer=signer, exchange_id=exchange_id),
+        encode_message(
+            message,
+            signer=rightful_signer_of(message) if signed else None,
+            exchange_id=exchange_id,
+            claims=claims,
+        ),
         exchange_id=exchange_id,
-        section_key=section_key_of(section_id_of(message)),
+        section_key=section_key_of(section_id),
     )
 
 
-def message_in(frames: tuple[bytes, ...], *, signed: bool) -> Message:
+def received_in(frames: tuple[bytes, ...], *, signed: bool) -> Received:
     """Return the message that frames carry, its signature checked if it has one."""
     assembly = Reassembler(limit_count=1, limit_bytes=10**6, timeout_s=1.0)
     completes = [assembly.offer(parse_frame(frame), source="", now_s=0.0) for frame in frames]
     complete = completes[-1]
     assert complete is not None
-    return decode_message(
-        complete.kind, complete.payload, verifier=VERIFIER if signed else None, exchange_id=complete.exchange_id
+    return open_message(
+        complete.kind,
+        complete.payload,
+        verifier=VERIFIER if signed else None,
+        required=signed,
+        exchange_id=complete.exchange_id,
     )
 
 
@@ -74,9 +86,15 @@ def frames_in(dump: str) -> tuple[bytes, ...]:
     return tuple(map(bytes, frames))
 
 
-def diagnosis(message: Message, *, signed: bool) -> str:
-    """Return what a message says as JSON."""
-    content = {"kind": kind_of(message).name, "signed": signed, "says": _plain(message)}
+def diagnosis(received: Received) -> str:
+    """Return what a message says as JSON, and who has signed it."""
+    content = {
+        "kind": kind_of(received.message).name,
+        "signed": received.signed is not None,
+        "says": _plain(received.message),
+    }
+    if received.signed is not None:
+        content |= {"claims": _plain(received.signed.claims), "certificate": _plain(received.signed.certificate)}
     return json.dumps(content, indent=1, ensure_ascii=False) + "\n"
 
 
@@ -85,7 +103,8 @@ def _plain(value: Any) -> Any:
         fields = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
         return {"version": value.version, **{name: _plain(content) for name, content in fields.items()}}
     if dataclasses.is_dataclass(value):
-        names = [field.name for field in dataclasses.fields(value)]
+        # What came later and is not used stands in no file that was there before.
+        names = [field.name for field in dataclasses.fields(value) if getattr(value, field.name) != b""]
         return {"is": type(value).__name__, **{name: _plain(getattr(value, name)) for name in names}}
     if isinstance(value, np.ndarray):
         return [" ".join(f"{v:.10g}" for v in np.atleast_1d(row)) for row in value]
@@ -108,8 +127,9 @@ def write_missing() -> None:
     """Write the files of cases that have none yet."""
     FOLDER.mkdir(parents=True, exist_ok=True)
     for name, (message, signed) in cases().items():
-        frames = frames_of(message, signer=SIGNER if signed else None)
-        for suffix, text in ((".hex", hex_dump(frames)), (".json", diagnosis(message, signed=signed))):
+        frames = frames_of(message, signed=signed)
+        says = diagnosis(received_in(frames, signed=signed))
+        for suffix, text in ((".hex", hex_dump(frames)), (".json", says)):
             path = FOLDER / f"{name}{suffix}"
             if not path.exists():
                 path.write_text(text, encoding="utf-8")

@@ -6,7 +6,6 @@ from typing import Any
 import cbor2
 import numpy as np
 import pytest
-from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from hypothesis import strategies as st
 
 from roadgrip.errors import WireError
@@ -20,6 +19,7 @@ from roadgrip.records import (
     Arrival,
     Beacon,
     Confidence,
+    Cookie,
     FrictionInterval,
     KinematicSummary,
     MapOffer,
@@ -31,16 +31,8 @@ from roadgrip.records import (
     Rejected,
 )
 from roadgrip.section import BankOrigin, Direction, GnssAnchor, RoadSection, build_section
-from roadgrip.signing import Signer, Verifier, key_id_of
 from roadgrip.units import kph_to_mps
 from roadgrip.wire import Kind, decode_message, encode_message
-
-# The first test key of RFC 8032; it opens nothing.
-PRIVATE_KEY = Ed25519PrivateKey.from_private_bytes(
-    bytes.fromhex("9d61b19deffd5a60ba844af492ec2cc44449c5697b326919703bac031cae7f60")
-)
-SIGNER = Signer(key_id_of(PRIVATE_KEY.public_key()), PRIVATE_KEY)
-VERIFIER = Verifier({SIGNER.key_id: PRIVATE_KEY.public_key()}, required=True)
 
 PASSAGE_ID = bytes(range(16))
 
@@ -116,6 +108,8 @@ BEACON = Beacon(
 SAMPLES: dict[str, Message] = {
     "arrival": ARRIVAL,
     "arrival-knows-map": Arrival(PASSAGE_ID, SECTION.section_id, SECTION.version),
+    "arrival-with-cookie": Arrival(PASSAGE_ID, SECTION.section_id, SECTION.version, b"biscuit!"),
+    "cookie": Cookie(b"biscuit!"),
     "map": MAP_OFFER,
     "map-in-pieces": MapOffer(
         winding_road(400, section_id="winding-road-long"), (PAPER_TABLE.digest, "0123456789abcdef")
@@ -155,7 +149,11 @@ speeds_mps = st.floats(0.0, 180.0)
 confidences = st.sampled_from(Confidence)
 advisory_reasons = st.sampled_from(AdvisoryReason)
 
-arrivals = st.builds(Arrival, passage_ids, section_ids, st.one_of(st.just(""), digests))
+eight_bytes = st.binary(min_size=8, max_size=8)
+arrivals = st.builds(
+    Arrival, passage_ids, section_ids, st.one_of(st.just(""), digests), st.one_of(st.just(b""), eight_bytes)
+)
+cookies = st.builds(Cookie, eight_bytes)
 summaries = st.builds(
     KinematicSummary,
     values=st.lists(float32s, min_size=55, max_size=55).map(tuple),
@@ -226,4 +224,4 @@ def map_offers(draw: st.DrawFn) -> MapOffer:
     return MapOffer(section, tuple(draw(st.lists(digests, min_size=1, max_size=3))))
 
 
-messages: st.SearchStrategy[Message] = st.one_of(arrivals, map_offers(), notices, passages, receipts, beacons)
+messages: st.SearchStrategy[Message] = st.one_of(arrivals, cookies, map_offers(), notices, passages, receipts, beacons)

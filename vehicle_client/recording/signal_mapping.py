@@ -180,7 +180,7 @@ def signal_mapping_of_toml(text: str, *, place: str) -> SignalMapping:
     """
     try:
         file = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:  # also a number of 5,000 digits, and a thousand brackets
         raise ConfigurationError(f"{place} is no TOML: {error}") from error
     _check_keys(file, _FILE_KEYS, place=place)
     for key, kind in (("dbc", str), ("time_column", str), ("vehicle", str), ("j1939", bool)):

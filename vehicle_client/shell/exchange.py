@@ -13,7 +13,9 @@ changes nothing.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from math import inf
 from typing import TYPE_CHECKING, Protocol
@@ -27,6 +29,7 @@ from roadgrip.records import (
     Advisory,
     AdvisoryNotice,
     Arrival,
+    Cookie,
     KinematicSummary,
     MapOffer,
     Message,
@@ -36,9 +39,14 @@ from roadgrip.records import (
     Receipt,
     Rejected,
 )
+from vehicle_client.shell.patience import Patience
 
 if TYPE_CHECKING:
     from roadgrip.section import RoadSection
+
+
+COOKIES_LIMIT_COUNT = 2
+"""Cookies that are followed in one exchange: one, and another if it came too late. A forged one costs a frame."""
 
 
 class FrameCodec(Protocol):
@@ -84,44 +92,6 @@ class Ending(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Patience:
-    """How long a vehicle waits and how often it tries.
-
-    The tries leave frames of the budget for the spool: four arrivals and five reports of one frame each spend nine
-    of twelve. Every announcement may cost the unit a map and an advisory of its eight frames, so the last one waits
-    until a slow answer would have come.
-
-    Attributes:
-        reply_s: Wait for an answer before the second try.
-        backoff_ratio: Each further wait is longer by this.
-        longest_s: No wait is longer.
-        postpone_s: Wait after "busy" and its like, growing in the same way.
-        arrival_tries_count: How often an arrival is announced.
-        report_tries_count: How often a summary is sent before the exchange ends without a receipt.
-    """
-
-    reply_s: float = 0.5
-    backoff_ratio: float = 3.0
-    longest_s: float = 6.0
-    postpone_s: float = 2.0
-    arrival_tries_count: int = 4
-    report_tries_count: int = 5
-
-    def stretched(self, ratio: float) -> Patience:
-        """Return the same patience on a clock that runs `ratio` times as fast."""
-        return replace(
-            self,
-            reply_s=self.reply_s * ratio,
-            longest_s=self.longest_s * ratio,
-            postpone_s=self.postpone_s * ratio,
-        )
-
-    def wait_s(self, first_s: float, *, tries_count: int) -> float:
-        """Return how long to wait after the `tries_count`-th try, when the first wait is `first_s`."""
-        return min(max(self.longest_s, first_s), first_s * self.backoff_ratio ** (tries_count - 1))
-
-
-@dataclass(frozen=True, slots=True)
 class ExchangeRecord:
     """How an exchange went.
 
@@ -138,6 +108,7 @@ class ExchangeRecord:
         messages_ignored_count: Whole messages that were for somebody else or came once more.
         arrival_tries_count: How often the arrival was announced.
         report_tries_count: How often the summary was sent.
+        refusals: Frames that were spoiled, not of ours or not believed, by reason.
     """
 
     passage_id: bytes
@@ -152,6 +123,7 @@ class ExchangeRecord:
     messages_ignored_count: int
     arrival_tries_count: int
     report_tries_count: int
+    refusals: Mapping[Reason, int] = field(default_factory=dict)
 
     @property
     def may_spool(self) -> bool:
@@ -209,7 +181,10 @@ class Exchange:
         self._ending: Ending | None = None
         self._sent_count = frames_spent_count
         self._received_count = 0
-        self._refused_count = 0
+        self._refusals: Counter[Reason] = Counter()
+        self._cookie = b""
+        self._cookies_count = 0
+        self._cookie_due = False
         self._ignored_count = 0
         self._arrival_tries_count = 0
         self._report_tries_count = 0
@@ -318,6 +293,8 @@ class Exchange:
         if now_s < self._wake_at_s:
             return ()
         if self._stage is Stage.ARRIVING:
+            if self._cookie_due:
+                return self._announce(now_s, again=True)
             if self._arrival_tries_count >= self._patience.arrival_tries_count:
                 self._drive()
                 return ()
@@ -333,8 +310,8 @@ class Exchange:
         self._received_count += 1
         try:
             message = self._codec.message_of(frame, now_s=now_s)
-        except WireError:
-            self._refused_count += 1
+        except WireError as error:
+            self._refusals[error.reason] += 1
             return
         if message is not None and not self._take(message, now_s):
             self._ignored_count += 1
@@ -350,10 +327,11 @@ class Exchange:
             map_version="" if self._section is None else self._section.version,
             frames_sent_count=self._sent_count,
             frames_received_count=self._received_count,
-            frames_refused_count=self._refused_count,
+            frames_refused_count=self._refusals.total(),
             messages_ignored_count=self._ignored_count,
             arrival_tries_count=self._arrival_tries_count,
             report_tries_count=self._report_tries_count,
+            refusals=dict(self._refusals),
         )
 
     # ------------------------------------------------------------------------------------------------- what arrives
@@ -366,7 +344,23 @@ class Exchange:
             return self._take_advisory(message)
         if isinstance(message, Receipt):
             return self._take_receipt(message, now_s)
+        if isinstance(message, Cookie):
+            return self._take_cookie(message, now_s)
         return False
+
+    def _take_cookie(self, cookie: Cookie, now_s: float) -> bool:
+        """Repeat the announcement at once with the cookie, as proof that what the unit sends arrives here."""
+        if (
+            self._stage is not Stage.ARRIVING
+            or cookie.cookie == self._cookie
+            or self._cookies_count >= COOKIES_LIMIT_COUNT
+        ):
+            return False
+        self._cookie = cookie.cookie
+        self._cookies_count += 1
+        self._cookie_due = True
+        self._wake_at_s = now_s
+        return True
 
     def _take_map(self, offer: MapOffer) -> bool:
         # After the summary was cut a new map would contradict it.
@@ -442,14 +436,16 @@ class Exchange:
 
     # ---------------------------------------------------------------------------------------------------- what leaves
 
-    def _announce(self, now_s: float) -> tuple[bytes, ...]:
+    def _announce(self, now_s: float, *, again: bool = False) -> tuple[bytes, ...]:
+        """Return the announcement; `again` is one with a cookie, which is no further try."""
+        self._cookie_due = False
         known = "" if self._section is None else self._section.version
-        frames = self._codec.frames_of(Arrival(self._passage_id, self._section_id, known))
+        frames = self._codec.frames_of(Arrival(self._passage_id, self._section_id, known, self._cookie))
         if self._sent_count + len(frames) >= self._budget_count:
             # At least one frame stays for the summary.
             self._drive()
             return ()
-        self._arrival_tries_count += 1
+        self._arrival_tries_count += not again
         self._sent_count += len(frames)
         self._wake_at_s = now_s + self._patience.wait_s(self._patience.reply_s, tries_count=self._arrival_tries_count)
         return frames

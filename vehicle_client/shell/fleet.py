@@ -21,7 +21,7 @@ import numpy as np
 from roadgrip.errors import ConfigurationError
 from roadgrip.records import PASSAGE_ID_BYTES, VEHICLE_FRAME_BUDGET, KinematicSummary, Reason, Rejected
 from vehicle_client.shell.conversation import Clock, SpedUpClock, converse, report, send_all, sleep_until
-from vehicle_client.shell.exchange import Ending, Exchange, ExchangeRecord, FrameCodec, Patience, Stage
+from vehicle_client.shell.exchange import Ending, Exchange, ExchangeRecord, FrameCodec, Stage
 from vehicle_client.shell.fleet_events import (
     FleetReady,
     FleetReport,
@@ -30,6 +30,7 @@ from vehicle_client.shell.fleet_events import (
     VehicleEntered,
     Watch,
 )
+from vehicle_client.shell.patience import Patience
 from vehicle_client.shell.spool import Spool, SpooledSummary
 from vehicle_client.shell.uplink import CLEAN_AIR, AirCounts, AirFaults, LossyUplink, Uplink
 from vehicle_client.simulator.plan import PassagePlan, SensorGrade, draw_plan

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 from roadgrip.errors import ConfigurationError
 from roadgrip.records import PASSAGE_ID_BYTES, Rejected
 from vehicle_client.shell.conversation import SpedUpClock, arrive
-from vehicle_client.shell.exchange import Exchange, Patience
+from vehicle_client.shell.exchange import Exchange
+from vehicle_client.shell.patience import Patience
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -259,5 +259,5 @@ def _read(path: Path) -> SpooledSummary | None:
             clock_id=str(raw["clock_id"]),
             frames_spent_count=int(raw["frames_spent_count"]),
         )
-    except (ValueError, KeyError, TypeError, AttributeError):
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
         return None

@@ -34,7 +34,7 @@ def from_unit(message: Message, *, passage_id: bytes = PASSAGE_ID) -> tuple[byte
 def as_unit(frames: tuple[bytes, ...]) -> Message:
     (frame,) = map(parse_frame, frames)
     complete = Complete(frame.kind, frame.section_key, frame.exchange_id, frame.fragment)
-    return message_of(complete, expected=FROM_VEHICLE)
+    return message_of(complete, expected=FROM_VEHICLE).message
 
 
 def test_an_announcement_is_one_frame_that_the_unit_reads():

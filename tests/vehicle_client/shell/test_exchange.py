@@ -25,7 +25,8 @@ from roadgrip.records import (
 )
 from roadgrip.section import RoadSection
 from tests.vehicle_client.shell.air import ADVICE, BEND, PASSAGE_ID, SUMMARY, Air, Ether, Fate, TokenCodec, Unit, bend
-from vehicle_client.shell.exchange import Ending, Exchange, ExchangeRecord, Patience, Stage
+from vehicle_client.shell.exchange import Ending, Exchange, ExchangeRecord, Stage
+from vehicle_client.shell.patience import Patience
 
 LOST = Fate.LOST
 

@@ -6,7 +6,8 @@ from roadgrip.features import PAPER_TABLE, TABLES, FeatureTable, older_summary, 
 from roadgrip.records import Accepted, KinematicSummary, MapOffer, Passage, Reason, Receipt, Rejected
 from tests.vehicle_client.shell.air import BEND, PASSAGE_ID, SUMMARY, Ether
 from tests.vehicle_client.shell.test_exchange import an_exchange, hear
-from vehicle_client.shell.exchange import Ending, Exchange, Patience, Stage
+from vehicle_client.shell.exchange import Ending, Exchange, Stage
+from vehicle_client.shell.patience import Patience
 
 
 def a_wide_summary(table: FeatureTable) -> KinematicSummary:

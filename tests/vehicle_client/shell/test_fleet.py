@@ -25,7 +25,7 @@ from roadgrip.section import RoadSection
 from tests.vehicle_client.shell.air import BEND, SUMMARY, Ether, TokenCodec, Unit, bend
 from tests.vehicle_client.shell.cars import Summarised, WireToUnit, a_drive
 from vehicle_client.estimation.trace import Trace
-from vehicle_client.shell.exchange import Ending, Exchange, Patience
+from vehicle_client.shell.exchange import Ending, Exchange
 from vehicle_client.shell.fleet import (
     FleetPlan,
     FleetTools,
@@ -44,6 +44,7 @@ from vehicle_client.shell.fleet_events import (
     VehicleAdvised,
     VehicleEntered,
 )
+from vehicle_client.shell.patience import Patience
 from vehicle_client.shell.uplink import AirCounts, AirFaults, Uplink
 from vehicle_client.simulator.drive import Drive, DriveOutcome
 from vehicle_client.simulator.plan import PassagePlan, SensorGrade

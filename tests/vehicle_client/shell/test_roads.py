@@ -7,7 +7,7 @@ import pytest
 from roadgrip.errors import ConfigurationError
 from tests.vehicle_client.shell.air import BEND, Ether, TokenCodec, Unit
 from tests.vehicle_client.shell.cars import WireToUnit
-from vehicle_client.shell.exchange import Patience
+from vehicle_client.shell.patience import Patience
 from vehicle_client.shell.roads import ask_for_section
 
 

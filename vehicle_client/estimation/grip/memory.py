@@ -237,7 +237,7 @@ def memory_of_json(text: str) -> CarMemory:
         mean, first = np.array(document["mean"], dtype=float), np.array(document["first_std"], dtype=float)
         covariance = np.array(document["covariance"], dtype=float)
         passages_count = int(document["passages_count"])
-    except (ValueError, TypeError, KeyError) as error:
+    except (ValueError, TypeError, KeyError, OverflowError, RecursionError) as error:
         raise ConfigurationError(f"no memory of a car: {error}") from error
     if not same:
         raise ConfigurationError("a memory of other constants than those that a car learns now")

@@ -28,16 +28,18 @@ from vehicle_client.mapmatch.section_line import line_of_section
 from vehicle_client.mapmatch.surroundings import CloseOrder, OpenOrder, Order, Position, Surroundings
 from vehicle_client.pipeline import Summarised, summarise_passage
 from vehicle_client.recording.own_columns import GNSS_ACCURACY_M
-from vehicle_client.shell.exchange import Exchange, Patience
+from vehicle_client.shell.exchange import Exchange
 from vehicle_client.shell.live.attendance import Attendance, Nothing, Report, Tools, send_spooled
 from vehicle_client.shell.live.cellular import QueryClock, list_sections
 from vehicle_client.shell.live.cockpit import Cockpit, SendAdvice
 from vehicle_client.shell.live.journal import Journal, Write, passage_entry
+from vehicle_client.shell.live.key_renewal import keep_renewing
 from vehicle_client.shell.live.learner import Learner
 from vehicle_client.shell.live.map_store import MapStore
 from vehicle_client.shell.live.ring import Recorded, SampleRing, trace_of
 from vehicle_client.shell.live.source import SourceState
 from vehicle_client.shell.live.units import BroadcastListener, Heard, UnitsInReach, listen_for_broadcasts
+from vehicle_client.shell.patience import Patience
 from vehicle_client.shell.spool import BootClock, Spool, SpooledSummary
 from vehicle_client.shell.uplink import HTTP_TIMEOUT_S, HttpUplink, UdpUplink
 
@@ -159,7 +161,7 @@ class LiveClient:
             if settings.beacons is not None:
                 listener = BroadcastListener(
                     self._hear,
-                    verifier=settings.keys.verifier,
+                    keys=settings.keys,
                     age_limit_s=settings.beacon_age_limit_s,
                     counts=self._journal.counts,
                 )
@@ -182,6 +184,7 @@ class LiveClient:
         ring = self._ring.counts
         return {
             "passages_open": len(self._around.passes),
+            "pseudonyms_in_date": self._settings.keys.pseudonyms_count,
             "spool_waiting": len(self._tools.spool),
             **self._lost(),
             "values_late": ring.late_count,
@@ -255,7 +258,13 @@ class LiveClient:
     # --------------------------------------------------------------------------------------------------- the car drives
 
     async def _work(self) -> None:
-        loops = [self._drive(), self._deliver_by_listing(), self._cockpit.keep_going(), self._count_now_and_then()]
+        loops = [
+            self._drive(),
+            self._deliver_by_listing(),
+            self._cockpit.keep_going(),
+            self._count_now_and_then(),
+            keep_renewing(self._settings.keys, self._tools, self._journal),
+        ]
         tasks = [asyncio.ensure_future(loop) for loop in loops]
         stopping = asyncio.ensure_future(self._stopping.wait())
         try:

@@ -49,6 +49,7 @@ def passage_entry(
         "frames_sent_count": record.frames_sent_count,
         "frames_received_count": record.frames_received_count,
         "frames_refused_count": record.frames_refused_count,
+        "refusals": {reason.value: count for reason, count in sorted(record.refusals.items())},
         "messages_ignored_count": record.messages_ignored_count,
         "advised_speed_mps": None if record.advisory is None else round(record.advisory.speed_mps, 2),
     }
@@ -74,10 +75,12 @@ class Journal:
         """Write and count a passage."""
         late = "late_" if entry["late"] else ""
         self.counts[f"passages_{late}{entry['ending']}"] += 1
-        reason = entry["withheld"] or entry["reason"]
-        if reason is not None:
-            self.counts[f"passages_{late}{entry['ending']}_{reason}"] += 1
+        told = entry["withheld"] or entry["reason"]
+        if told is not None:
+            self.counts[f"passages_{late}{entry['ending']}_{told}"] += 1
         self.counts["frames_refused"] += entry["frames_refused_count"]
+        for reason, count in entry["refusals"].items():
+            self.counts[f"frames_refused_{reason}"] += count
         self.counts["messages_ignored"] += entry["messages_ignored_count"]
         if entry["spooled"] and not entry["late"]:
             self.counts["passages_spooled"] += 1

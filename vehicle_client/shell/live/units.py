@@ -1,10 +1,11 @@
 """Road side units that a car hears, and what it makes of their broadcasts.
 
 A unit sends its broadcasts from the socket on which it listens, so the address a datagram comes from is the unit's own:
-an ARRIVAL goes back to it. What a broadcast says is believed as far as its signature: with trusted keys, an unsigned
-one is refused. One that was recorded and is played again tells by its time of issue, if the unit knows the time (it
-says 0 when it does not) and the car does. A broadcast played again can make a car announce itself to the wrong address
-and nothing more: the answer must be signed for the exchange that the car has just drawn.
+an ARRIVAL goes back to it. What a broadcast says is believed as far as its signature: where an authority is
+trusted, an unsigned one is refused, and so is a signed one that does not say until when it holds. One that was recorded
+and is played again tells by its time of issue, if the unit knows the time (it says 0 when it does not) and the car
+does. A broadcast played again can make a car announce itself to the wrong address and nothing more: the answer must be
+signed for the exchange that the car has just drawn.
 """
 
 from __future__ import annotations
@@ -17,13 +18,16 @@ import time
 from collections import Counter, OrderedDict
 from dataclasses import dataclass
 from ipaddress import ip_address
+from math import isfinite
 from typing import TYPE_CHECKING
 
+from roadgrip.belief import check_broadcast
 from roadgrip.errors import ConfigurationError, RoadgripError, WireError
 from roadgrip.exchange import message_of
 from roadgrip.frames import Complete, parse_frame
 from roadgrip.protocol import Kind
 from roadgrip.records import AdvisoryNotice, Beacon
+from vehicle_client.shell.keys import CLOCK_SET_UNIX_S, Keys
 from vehicle_client.shell.uplink import UnitAddress
 
 if TYPE_CHECKING:
@@ -38,8 +42,6 @@ IN_REACH_S = 30.0
 BEACON_AGE_LIMIT_S = 60.0
 BROADCASTS_PER_S = 100.0
 """More than any place has units; what comes above it is dropped unread. Checking a signature takes 0.1 ms."""
-CLOCK_SET_UNIX_S = 1_700_000_000.0
-"""A wall clock that shows less was never set, and judges no beacon."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +78,8 @@ def heard_in(
         source: Host and port it came from.
         verifier: The units that are believed.
         wall_clock_s: Now, in seconds since 1970, by the car's own clock.
-        age_limit_s: An issue farther from now, either way, is an old one; infinite believes all.
+        age_limit_s: An issue farther from now, either way, is an old one; infinite judges no date, for a car without a
+            clock.
 
     Raises:
         WireError: It cannot be read or is not believed.
@@ -86,9 +89,18 @@ def heard_in(
     if frame.kind not in {Kind.BEACON, Kind.ADVISORY} or frame.pieces_count != 1:
         return None
     whole = Complete(frame.kind, frame.section_key, frame.exchange_id, frame.fragment)
-    message = message_of(whole, expected=frozenset({Kind.BEACON, Kind.ADVISORY}), verifier=verifier)
+    judged = wall_clock_s >= CLOCK_SET_UNIX_S and isfinite(age_limit_s)
+    message, signed = message_of(
+        whole,
+        expected=frozenset({Kind.BEACON, Kind.ADVISORY}),
+        verifier=verifier,
+        required=verifier is not None,
+        now_unix_s=wall_clock_s if judged else None,
+    )
     if not isinstance(message, Beacon | AdvisoryNotice):
         return None
+    if signed is not None:
+        check_broadcast(signed)
     known = message.issued_unix_s > 0 and wall_clock_s >= CLOCK_SET_UNIX_S
     if known and abs(wall_clock_s - message.issued_unix_s) > age_limit_s:
         raise OldBroadcastError(f"issued {wall_clock_s - message.issued_unix_s:.0f} s ago")
@@ -126,7 +138,7 @@ class BroadcastListener(asyncio.DatagramProtocol):
         self,
         on_heard: Callable[[Heard], None],
         *,
-        verifier: Verifier | None,
+        keys: Keys,
         age_limit_s: float = BEACON_AGE_LIMIT_S,
         counts: Counter[str],
     ) -> None:
@@ -134,12 +146,12 @@ class BroadcastListener(asyncio.DatagramProtocol):
 
         Args:
             on_heard: Called on the event loop with every broadcast that is believed.
-            verifier: The units that are believed.
+            keys: The units that are believed.
             age_limit_s: See `heard_in`.
             counts: Where broadcasts are counted, by what became of them.
         """
         self._on_heard = on_heard
-        self._verifier = verifier
+        self._keys = keys
         self._age_limit_s = age_limit_s
         self._counts = counts
         self._allowance_count = BROADCASTS_PER_S
@@ -152,7 +164,7 @@ class BroadcastListener(asyncio.DatagramProtocol):
             return
         try:
             heard = heard_in(
-                data, addr[:2], verifier=self._verifier, wall_clock_s=time.time(), age_limit_s=self._age_limit_s
+                data, addr[:2], verifier=self._keys.verifier, wall_clock_s=time.time(), age_limit_s=self._age_limit_s
             )
         except OldBroadcastError:
             self._counts["beacons_refused_old"] += 1

@@ -14,8 +14,9 @@ from roadgrip.records import Advisory, Passage, Reason, Rejected
 from roadgrip.section import RoadSection
 from tests.vehicle_client.shell.air import ADVICE, BEND, SUMMARY, Ether, TokenCodec, Unit
 from tests.vehicle_client.shell.cars import WireToUnit
-from vehicle_client.shell.exchange import Ending, Exchange, FrameCodec, Patience
+from vehicle_client.shell.exchange import Ending, Exchange, FrameCodec
 from vehicle_client.shell.live.attendance import Attendance, Nothing, Report, Tools, send_spooled
+from vehicle_client.shell.patience import Patience
 from vehicle_client.shell.spool import BootClock, Spool, SpoolError
 from vehicle_client.shell.uplink import UnitAddress, Uplink
 

@@ -5,16 +5,18 @@ from collections.abc import Callable
 from math import inf
 
 import pytest
-from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
+from bench.certified import NOW_UNIX_S, VERIFIER, claims_for
+from bench.certified import UNIT as UNIT_SIGNER
 from roadgrip.errors import ConfigurationError, WireError
 from roadgrip.features import NEWEST_TABLE
 from roadgrip.frames import section_key_of, split_into_frames
 from roadgrip.reasons import Reason
 from roadgrip.records import AdvisoryNotice, AdvisoryReason, Beacon, Confidence, MapOffer, Message
-from roadgrip.signing import Signer, Verifier, key_id_of
+from roadgrip.signing import NO_CLAIMS, Claims, Signer
 from roadgrip.wire import encode_message, kind_of
 from tests.vehicle_client.shell.air import ADVICE, BEND
+from vehicle_client.shell.keys import Keys
 from vehicle_client.shell.live.units import (
     BROADCASTS_PER_S,
     IN_REACH_S,
@@ -28,11 +30,7 @@ from vehicle_client.shell.live.units import (
 )
 from vehicle_client.shell.uplink import UnitAddress
 
-NOW_UNIX_S = 1_790_000_000
 UNIT = ("192.0.2.7", 4740)
-PRIVATE_KEY = Ed25519PrivateKey.generate()
-SIGNER = Signer(key_id_of(PRIVATE_KEY.public_key()), PRIVATE_KEY)
-VERIFIER = Verifier({SIGNER.key_id: PRIVATE_KEY.public_key()}, required=True)
 
 
 def beacon(*, issued_unix_s: int = NOW_UNIX_S, section_id: str = "bend") -> Beacon:
@@ -47,9 +45,11 @@ def beacon(*, issued_unix_s: int = NOW_UNIX_S, section_id: str = "bend") -> Beac
     )
 
 
-def datagram(message: Message, *, signer: Signer | None = None, section_id: str = "bend") -> bytes:
+def datagram(
+    message: Message, *, signer: Signer | None = None, section_id: str = "bend", claims: Claims = NO_CLAIMS
+) -> bytes:
     exchange_id = bytes(8)
-    payload = encode_message(message, signer=signer, exchange_id=exchange_id)
+    payload = encode_message(message, signer=signer, exchange_id=exchange_id, claims=claims)
     return split_into_frames(
         kind_of(message), payload, exchange_id=exchange_id, section_key=section_key_of(section_id)
     )[0]
@@ -89,12 +89,32 @@ def test_where_one_of_both_knows_no_time_no_beacon_is_old(issued_unix_s: int, wa
     assert heard_in(data, UNIT, verifier=None, wall_clock_s=wall_clock_s, age_limit_s=age_limit_s) is not None
 
 
-def test_with_trusted_keys_an_unsigned_beacon_is_refused_and_a_signed_one_believed():
+def test_where_an_authority_is_trusted_an_unsigned_beacon_is_refused_and_a_signed_one_believed():
     with pytest.raises(WireError) as refused:
         heard_in(datagram(beacon()), UNIT, verifier=VERIFIER, wall_clock_s=NOW_UNIX_S)
     assert refused.value.reason is Reason.UNSIGNED
-    data = datagram(beacon(), signer=SIGNER)
+    data = datagram(beacon(), signer=UNIT_SIGNER, claims=claims_for(beacon(), section_id="bend"))
     assert heard_in(data, UNIT, verifier=VERIFIER, wall_clock_s=NOW_UNIX_S) is not None
+
+
+NOTICE = AdvisoryNotice("bend", "0123456789abcdef", ADVICE, issued_unix_s=0)
+
+
+@pytest.mark.parametrize("message", [beacon(issued_unix_s=0), NOTICE], ids=["beacon", "advice to all"])
+@pytest.mark.parametrize("wall_clock_s", [NOW_UNIX_S, 1_000.0])
+def test_what_is_sent_to_all_without_an_end_is_never_believed(message: Message, wall_clock_s: float):
+    data = datagram(message, signer=UNIT_SIGNER, claims=Claims(None, None, "bend", "0123456789abcdef"))
+    with pytest.raises(WireError) as refused:
+        heard_in(data, UNIT, verifier=VERIFIER, wall_clock_s=wall_clock_s)
+    assert refused.value.reason is Reason.OUTSIDE_REPLAY_WINDOW
+
+
+def test_a_signed_beacon_ends_when_it_says():
+    data = datagram(beacon(issued_unix_s=0), signer=UNIT_SIGNER, claims=claims_for(beacon(), section_id="bend"))
+    assert heard_in(data, UNIT, verifier=VERIFIER, wall_clock_s=NOW_UNIX_S + 300) is not None
+    with pytest.raises(WireError) as refused:
+        heard_in(data, UNIT, verifier=VERIFIER, wall_clock_s=NOW_UNIX_S + 301)
+    assert refused.value.reason is Reason.OUTSIDE_REPLAY_WINDOW
 
 
 def test_a_unit_that_was_not_heard_lately_is_out_of_reach():
@@ -115,7 +135,7 @@ def test_units_that_are_remembered_are_bounded():
 
 
 def listening(on_heard: Callable[[Heard], None], counts: Counter[str], **more: object) -> BroadcastListener:
-    return BroadcastListener(on_heard, verifier=None, age_limit_s=inf, counts=counts)
+    return BroadcastListener(on_heard, keys=Keys(), age_limit_s=inf, counts=counts)
 
 
 def test_rubbish_is_counted_by_what_is_wrong_with_it():
