@@ -3,20 +3,22 @@
 The gateway knows no socket and no request. It parses and counts frames, keeps the budget of each exchange, reads
 messages, and turns what the unit says into frames again::
 
-    ARRIVAL -> MAP (unless the vehicle has it) + ADVISORY        `take` answers at once
+    ARRIVAL -> COOKIE, until it comes with the cookie            over UDP: did it come from where it says?
+            -> MAP (unless the vehicle has it) + ADVISORY        `take` answers at once
     SUMMARY -> the unit ingests -> RECEIPT, after the commit      `take` hands it out, `settle` answers
     refused -> RECEIPT with the reason, where the exchange is known; so many a second and no more
 """
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable
 from typing import NamedTuple
 
 import structlog
 
 from roadgrip.errors import WireError
-from roadgrip.exchange import FROM_VEHICLE, ExchangeLedger, Reception, message_of
+from roadgrip.exchange import FROM_VEHICLE, ExchangeLedger, Reception
 from roadgrip.frames import (
     EXCHANGE_ID_BYTES,
     Frame,
@@ -28,22 +30,26 @@ from roadgrip.frames import (
     split_into_frames,
     unread_passage_id,
 )
+from roadgrip.protocol import Kind
 from roadgrip.reasons import Reason
 from roadgrip.records import (
     RSU_FRAME_BUDGET,
     Arrival,
     Beacon,
+    Cookie,
     MapOffer,
     Message,
+    Outcome,
     Passage,
     Receipt,
     Rejected,
 )
-from roadgrip.signing import Signer, Verifier
 from roadgrip.wire import encode_message, kind_of
 from rsu_app.intake import PassageIntake
 from rsu_app.observability import Metrics
 from rsu_app.rate import RateLimit
+from rsu_app.sender_guards import SenderGuards
+from rsu_app.signatures import Signatures
 from rsu_app.usecases import RoadSideUnit
 
 _log = structlog.get_logger("roadgrip")
@@ -73,7 +79,24 @@ class Taken(NamedTuple):
     passage: Passage | None = None
 
 
+class Sender(NamedTuple):
+    """Where a datagram came from.
+
+    Attributes:
+        host: Address; empty when nobody knows.
+        port: Port.
+        proven: Whether it is known to read what is sent to it, as over TCP. What goes to others is never longer than
+            what came from them, or the unit could be made to flood a stranger.
+    """
+
+    host: str = ""
+    port: int = 0
+    proven: bool = True
+
+
+SOMEBODY = Sender()
 NOTHING = Taken()
+_NAMES = {kind: kind.name.lower() for kind in Kind}
 
 
 class FrameGateway:
@@ -87,8 +110,8 @@ class FrameGateway:
         now_s: The clock that budgets and time-outs go by.
         random_bytes: Gives ids to messages that belong to no passage.
         refusals_per_s: Rejections that may be sent in a second.
-        signer: Signs what leaves, if given.
-        verifier: Checks what comes, if given.
+        signatures: Signs what leaves and checks what comes.
+        guards: What each sender may do at most.
     """
 
     def __init__(
@@ -101,8 +124,8 @@ class FrameGateway:
         now_s: Callable[[], float],
         random_bytes: Callable[[int], bytes],
         refusals_per_s: float,
-        signer: Signer | None = None,
-        verifier: Verifier | None = None,
+        signatures: Signatures,
+        guards: SenderGuards | None = None,
     ) -> None:
         self._unit = unit
         self._intake = intake
@@ -112,48 +135,80 @@ class FrameGateway:
         self._random_bytes = random_bytes
         self._refusals = RateLimit(refusals_per_s)  # a flood of rubbish must not make the unit a source of another
         self._refusal_lines = RateLimit(REFUSAL_LINES_PER_S)
-        self._signer = signer
-        self._verifier = verifier
+        self._signatures = signatures
+        self._guards = guards or SenderGuards()
+        self._places = {
+            section_key_of(offer.section.section_id): (offer.section.section_id, offer.section.version)
+            for offer in map(unit.map_offer, unit.section_ids)
+            if isinstance(offer, MapOffer)
+        }
         self._reassembler = Reassembler(
             limit_count=ASSEMBLY_LIMIT_COUNT, limit_bytes=ASSEMBLY_LIMIT_BYTES, timeout_s=ASSEMBLY_TIMEOUT_S
         )
-        self._maps: dict[str, bytes] = {}
+        self._maps: dict[tuple[object, ...], bytes] = {}
 
-    def take(self, datagram: bytes, *, via: str) -> Taken:
+    def is_allowed(self, sender: Sender) -> bool:
+        """Return whether a sender may say something more now, and count it if so; `take` asks by itself."""
+        return self._guards.frame_allowed(sender.host, now_s=self._now_s())
+
+    def take(self, datagram: bytes, *, via: str, sender: Sender = SOMEBODY) -> Taken:
         """Return what to answer at once and what to settle. Never raises, whatever the bytes are.
 
         Args:
             datagram: One frame, or rubbish.
-            via: The transport, for the metrics and as the source of pieces.
+            via: The transport, for the metrics.
+            sender: Where it came from.
         """
         now_s = self._now_s()
-        self._metrics.frames_received.labels(via).inc()
+        self._metrics.frames_received.count(via)
         try:
             frame = parse_frame(datagram)
         except WireError as error:
             exchange_id = answerable_exchange(datagram, error.reason)
-            return self._refused(error, exchange_id, datagram[4:8], via=via, now_s=now_s)
+            return self._refused(
+                error, exchange_id, datagram[4:8], via=via, now_s=now_s, limit_bytes=_limit_bytes(datagram, sender)
+            )
         if frame.kind not in FROM_VEHICLE:
             # Another unit, or our own broadcast that came back: not for us, and nobody to answer.
-            self._metrics.frames_dropped.labels(via, "not_for_units").inc()
+            self._metrics.frames_dropped.count(via, "not_for_units")
             return NOTHING
         try:
-            return self._read(frame, via=via, now_s=now_s)
+            return self._read(frame, via=via, sender=sender, now_s=now_s)
         except WireError as error:
-            return self._refused(error, frame.exchange_id, frame.section_key, via=via, now_s=now_s)
+            # Whoever has shown a cookie is sent no more than it sent, either: few words are enough for a refusal.
+            return self._refused(
+                error,
+                frame.exchange_id,
+                frame.section_key,
+                via=via,
+                now_s=now_s,
+                limit_bytes=_limit_bytes(datagram, sender),
+            )
 
     async def settle(self, passage: Passage, *, via: str) -> tuple[OutFrames, ...]:
         """Return the receipt of a passage, after the commit that holds it; nothing if the budget is used up."""
-        outcome = await self._intake.receive(passage, via=via)
-        return self._reserved(
-            self._out(
-                Receipt(passage.passage_id, outcome),
-                exchange_id=exchange_id_of(passage.passage_id),
-                section_key=section_key_of(passage.section_id),
-            ),
-            exchange_id=exchange_id_of(passage.passage_id),
-            now_s=self._now_s(),
+        return self._receipt(passage, await self._intake.receive(passage, via=via))
+
+    def settle_later(self, passage: Passage, *, via: str, send: Callable[[tuple[OutFrames, ...]], object]) -> None:
+        """Hand the receipt of a passage to `send`, once, after the commit that holds it.
+
+        For who does not wait; see `settle`. After a failure of the unit, which the log has, there is nothing to send.
+        """
+
+        def answer(future: asyncio.Future[Outcome]) -> None:
+            failed = future.cancelled() or future.exception() is not None
+            send(() if failed else self._receipt(passage, future.result()))
+
+        self._intake.offer(passage, via=via).add_done_callback(answer)
+
+    def _receipt(self, passage: Passage, outcome: Outcome) -> tuple[OutFrames, ...]:
+        exchange_id = exchange_id_of(passage.passage_id)
+        out = self._out(
+            Receipt(passage.passage_id, outcome),
+            exchange_id=exchange_id,
+            section_key=section_key_of(passage.section_id),
         )
+        return self._reserved(out, exchange_id=exchange_id, now_s=self._now_s())
 
     def beacons(self) -> tuple[OutFrames, ...]:
         """Return the announcement of each section."""
@@ -169,43 +224,71 @@ class FrameGateway:
         return self._guidance(section_id, known_map_version="", exchange_id=exchange_id)
 
     def map_message(self, offer: MapOffer) -> bytes:
-        """Return the message MAP, encoded and signed once for each map."""
-        version = offer.section.version
-        payload = self._maps.get(version)
+        """Return the message MAP, encoded once for each map and signed anew now and then."""
+        section = offer.section
+        known_as = (section.version, offer.table_digests, *self._signatures.map_period())
+        payload = self._maps.get(known_as)
         if payload is None:
             if len(self._maps) >= MAPS_KEPT_COUNT:
                 self._maps.clear()
-            payload = self._maps[version] = encode_message(offer, signer=self._signer)
+            payload = self._maps[known_as] = self._signatures.written(
+                offer, exchange_id=b"", section_id=section.section_id, map_version=section.version
+            )
         return payload
 
     def observe(self) -> None:
         """Bring the gauges up to date."""
+        if (signer := self._signatures.trust.signer) is not None:
+            self._metrics.signing_certificate_ends.set(signer.certificate.valid_until_unix_s)
         counters = self._reassembler.counters
         self._metrics.assemblies.set(self._reassembler.held_count)
         self._metrics.assemblies_given_up.set(counters.evicted_count + counters.expired_count)
         self._metrics.exchanges.set(self._ledger.open_count)
         self._metrics.exchanges_evicted.set(self._ledger.counters.evicted_count)
 
-    def _read(self, frame: Frame, *, via: str, now_s: float) -> Taken:
+    def _read(self, frame: Frame, *, via: str, sender: Sender, now_s: float) -> Taken:
+        if not self.is_allowed(sender):
+            raise WireError(Reason.RATE_LIMITED, "more frames a second than one address may send")
+        if frame.kind is Kind.SUMMARY and self._intake.full:
+            # Before it is read or counted: under a flood, refusing must cost a fraction of accepting.
+            raise WireError(Reason.BUSY, "as many passages are in work as this unit takes")
         match self._ledger.receive(frame, now_s=now_s):
             case Reception.EXHAUSTED:
                 raise WireError(Reason.BUDGET_EXHAUSTED, "the vehicle has used up its frames")
             case Reception.DUPLICATE:
-                self._metrics.frame_duplicates.labels(via).inc()
+                self._metrics.frame_duplicates.count(via)
             case Reception.NEW:
                 pass
-        complete = self._reassembler.offer(frame, source=via, now_s=now_s)
+        complete = self._reassembler.offer(frame, source=(via, sender), now_s=now_s)
         if complete is None:
             return NOTHING
-        message = message_of(complete, expected=FROM_VEHICLE, verifier=self._verifier)
-        self._metrics.messages_received.labels(via, frame.kind.name.lower()).inc()
+        message, signed = self._signatures.read(complete, via=via)
+        self._metrics.messages_received.count(via, _NAMES[frame.kind])
         match message:
             case Arrival():
-                return Taken(self._welcome(message, now_s=now_s))
+                return Taken(self._asked_back(message, sender, now_s=now_s) or self._welcome(message, now_s=now_s))
             case Passage():
+                if signed is not None and not self._guards.passage_allowed(
+                    message, certificate_id=signed.certificate.certificate_id, now_s=now_s
+                ):
+                    raise WireError(Reason.RATE_LIMITED, "more passages an hour than one certificate may report")
                 return Taken(passage=message)
             case _:  # `message_of` has refused the rest
                 return NOTHING
+
+    def _asked_back(self, arrival: Arrival, sender: Sender, *, now_s: float) -> tuple[OutFrames, ...]:
+        """Return the cookie that an arrival must be repeated with, nothing if it need not."""
+        exchange_id = exchange_id_of(arrival.passage_id)
+        cookie = self._guards.cookie_wanted(
+            arrival.cookie, host=sender.host, port=sender.port, exchange_id=exchange_id, now_s=now_s
+        )
+        if sender.proven or cookie is None:
+            return ()
+        payload = encode_message(Cookie(cookie))
+        frames = split_into_frames(
+            Kind.COOKIE, payload, exchange_id=exchange_id, section_key=section_key_of(arrival.section_id)
+        )
+        return self._reserved(OutFrames(_NAMES[Kind.COOKIE], frames), exchange_id=exchange_id, now_s=now_s)
 
     def _welcome(self, arrival: Arrival, *, now_s: float) -> tuple[OutFrames, ...]:
         exchange_id = exchange_id_of(arrival.passage_id)
@@ -248,13 +331,16 @@ class FrameGateway:
 
     def _out(self, message: Message, *, exchange_id: bytes, section_key: bytes) -> OutFrames:
         kind = kind_of(message)
+        section_id, map_version = self._places.get(section_key, ("", ""))
         payload = (
             self.map_message(message)
             if isinstance(message, MapOffer)
-            else encode_message(message, signer=self._signer, exchange_id=exchange_id)
+            else self._signatures.written(
+                message, exchange_id=exchange_id, section_id=section_id, map_version=map_version
+            )
         )
         frames = split_into_frames(kind, payload, exchange_id=exchange_id, section_key=section_key)
-        return OutFrames(kind.name.lower(), frames)
+        return OutFrames(_NAMES[kind], frames)
 
     def _reserved(self, *messages: OutFrames, exchange_id: bytes, now_s: float) -> tuple[OutFrames, ...]:
         """Return the messages that the exchange's budget still has room for, each whole or not at all."""
@@ -268,20 +354,48 @@ class FrameGateway:
 
     def _withhold(self, *messages: OutFrames) -> None:
         for message in messages:
-            self._metrics.frames_withheld.labels(message.name).inc(len(message.frames))
+            self._metrics.frames_withheld.count(message.name, by=len(message.frames))
 
     def _refused(
-        self, error: WireError, exchange_id: bytes | None, section_key: bytes, *, via: str, now_s: float
+        self,
+        error: WireError,
+        exchange_id: bytes | None,
+        section_key: bytes,
+        *,
+        via: str,
+        now_s: float,
+        limit_bytes: int | None,
     ) -> Taken:
-        """Count what was refused, and return the receipt that says so where there is somebody to tell."""
-        self._metrics.frames_dropped.labels(via, error.reason.value).inc()
+        """Count what was refused, and return the receipt that says so where there is somebody to tell.
+
+        Args:
+            error: Why.
+            exchange_id: Whom to tell; None: nobody.
+            section_key: Of the frame.
+            via: The transport.
+            now_s: Now.
+            limit_bytes: What may be sent to an address that is not proven; None: as much as needed.
+        """
+        self._metrics.frames_dropped.count(via, error.reason.value)
+        self._metrics.latest_refusals.note(
+            reason=error.reason.value, section="", via=via, detail=error.detail, now_s=now_s
+        )
         if self._refusal_lines.take(now_s=now_s):
             _log.info("frame_refused", reason=error.reason.value, detail=error.detail[:200], via=via)
         if exchange_id is None:
             return NOTHING
         if not self._refusals.take(now_s=now_s):
-            self._metrics.refusals_withheld.inc()
+            self._metrics.refusals_withheld.count()
             return NOTHING
-        receipt = Receipt(unread_passage_id(exchange_id), Rejected(error.reason, error.detail))
-        out = self._out(receipt, exchange_id=exchange_id, section_key=section_key)
-        return Taken(self._reserved(out, exchange_id=exchange_id, now_s=now_s))
+        # Without its detail where that would be longer than what came: the reason is what a vehicle acts by.
+        for detail in (error.detail, ""):
+            receipt = Receipt(unread_passage_id(exchange_id), Rejected(error.reason, detail))
+            out = self._out(receipt, exchange_id=exchange_id, section_key=section_key)
+            if limit_bytes is None or sum(map(len, out.frames)) <= limit_bytes:
+                return Taken(self._reserved(out, exchange_id=exchange_id, now_s=now_s))
+        self._metrics.refusals_withheld.count()
+        return NOTHING
+
+
+def _limit_bytes(datagram: bytes, sender: Sender) -> int | None:
+    return None if sender.proven else len(datagram)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import OrderedDict
+
 
 class RateLimit:
     """So many in a second, as many of which may be saved up for a burst.
@@ -29,3 +31,32 @@ class RateLimit:
             return False
         self._left -= 1.0
         return True
+
+
+class RateLimitEach:
+    """A `RateLimit` for each of many senders, in bounded memory.
+
+    Args:
+        limit_per_s: How many each may in a second.
+        kept_count: Senders that are remembered; who was silent longest is forgotten, and then starts anew.
+    """
+
+    def __init__(self, limit_per_s: float, *, kept_count: int = 4_096) -> None:
+        self._limit_per_s = limit_per_s
+        self._kept_count = kept_count
+        self._limits: OrderedDict[str, RateLimit] = OrderedDict()
+
+    def __len__(self) -> int:
+        """Return how many senders are remembered."""
+        return len(self._limits)
+
+    def take(self, sender: str, *, now_s: float) -> bool:
+        """Return whether one more of a sender is allowed, and count it if so; see `RateLimit.take`."""
+        limit = self._limits.get(sender)
+        if limit is None:
+            limit = self._limits[sender] = RateLimit(self._limit_per_s)
+            if len(self._limits) > self._kept_count:
+                self._limits.popitem(last=False)
+        else:
+            self._limits.move_to_end(sender)
+        return limit.take(now_s=now_s)

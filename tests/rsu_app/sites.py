@@ -11,11 +11,13 @@ import httpx
 import numpy as np
 from fastapi import FastAPI
 
+from bench.certified import claims_for
 from roadgrip.exchange import FROM_UNIT, ExchangeLedger, message_of
 from roadgrip.frames import Reassembler, exchange_id_of, parse_frame, section_key_of, split_into_frames
 from roadgrip.records import Message, Passage
 from roadgrip.section import RoadSection
-from roadgrip.signing import Signer, Verifier
+from roadgrip.signing import NO_CLAIMS, Signer, Verifier
+from roadgrip.trust import Trust
 from roadgrip.wire import encode_message, kind_of
 from rsu_app.adapters.http.app import create_app
 from rsu_app.adapters.http.site import Broadcast, Site
@@ -23,8 +25,10 @@ from rsu_app.adapters.http.stream import StreamDesk
 from rsu_app.gateway import FrameGateway, OutFrames
 from rsu_app.intake import PassageIntake
 from rsu_app.observability import Metrics
+from rsu_app.sender_guards import SenderGuards
+from rsu_app.signatures import SignatureMode, Signatures
 from rsu_app.usecases import RoadSideUnit, UnitLimits
-from tests.rsu_app.fakes import FakeClock, FakeModel, FakeStore, make_section
+from tests.rsu_app.fakes import NOON_UNIX_S, FakeClock, FakeModel, FakeStore, make_section
 
 
 @dataclass
@@ -62,9 +66,11 @@ def make_unit(
     refusals_per_s: float = 100.0,
     signer: Signer | None = None,
     verifier: Verifier | None = None,
+    mode: SignatureMode = SignatureMode.REQUIRED,
     broadcast: bool = True,
     detections_count: int = -1,
     now_s: Callable[[], float] | None = None,
+    guards: SenderGuards | None = None,
     **site_changes: Any,
 ) -> UnitUnderTest:
     section = section or make_section()
@@ -87,8 +93,12 @@ def make_unit(
         now_s=now_s or clock.monotonic_s,
         random_bytes=np.random.default_rng(1).bytes,
         refusals_per_s=refusals_per_s,
-        signer=signer,
-        verifier=verifier,
+        signatures=Signatures(
+            Trust(() if signer is None else (signer,), verifier),
+            modes={} if verifier is None else {"udp": mode, "http": mode},
+            unix_s=lambda: int(clock.unix_s()) if unit.clock_plausible else None,
+        ),
+        guards=guards,
     )
     broadcasts: list[str] = []
 
@@ -110,7 +120,7 @@ def make_unit(
         streams=StreamDesk(metrics),
         metrics=metrics,
         version="0",
-        signatures_required=verifier is not None and verifier.required,
+        signatures_required=verifier is not None and mode is SignatureMode.REQUIRED,
     )
     return UnitUnderTest(
         section, store, clock, chosen, unit, metrics, intake, gateway, replace(site, **site_changes), broadcasts
@@ -139,7 +149,14 @@ def frames_of(message: Message, *, passage_id: bytes, section_id: str, signer: S
     return list(
         split_into_frames(
             kind_of(message),
-            encode_message(message, signer=signer, exchange_id=exchange_id_of(passage_id)),
+            encode_message(
+                message,
+                signer=signer,
+                exchange_id=exchange_id_of(passage_id),
+                claims=NO_CLAIMS
+                if signer is None
+                else claims_for(message, section_id=section_id, now_unix_s=int(NOON_UNIX_S)),
+            ),
             exchange_id=exchange_id_of(passage_id),
             section_key=section_key_of(section_id),
         )
@@ -158,7 +175,14 @@ def read_frames(frames: list[bytes], *, verifier: Verifier | None = None) -> lis
     for frame in frames:
         complete = reassembler.offer(parse_frame(frame), source="unit", now_s=0.0)
         if complete is not None:
-            found.append(message_of(complete, expected=FROM_UNIT, verifier=verifier))
+            received = message_of(
+                complete,
+                expected=FROM_UNIT,
+                verifier=verifier,
+                required=verifier is not None,
+                now_unix_s=NOON_UNIX_S,
+            )
+            found.append(received.message)
     return found
 
 

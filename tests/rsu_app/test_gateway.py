@@ -6,6 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from structlog.testing import capture_logs
 
+from bench.certified import UNIT, VERIFIER, signer_of
+from roadgrip.certificates import Role
 from roadgrip.errors import WireError
 from roadgrip.frames import exchange_id_of, parse_frame, split_into_frames, unread_passage_id
 from roadgrip.reasons import Reason
@@ -26,7 +28,6 @@ from roadgrip.wire import rounded_to_wire
 from rsu_app.gateway import RECEIPTS_RESERVED_COUNT
 from tests.rsu_app.fakes import make_passage, make_section
 from tests.rsu_app.sites import UnitUnderTest, frame_of_passage, frames_of, make_unit, radio, read_frames, read_replies
-from tests.rsu_app.test_refusals import keyed
 
 SECTION = make_section()
 ID = bytes(range(16))
@@ -213,11 +214,10 @@ def test_a_beacon_announces_each_section():
 
 
 def test_answers_are_signed_where_there_is_a_key():
-    signer, verifier = keyed(3)
-    under_test = make_unit(section=SECTION, signer=signer)
-    offer, notice = answers(under_test, arrival_frame(), verifier=verifier)
-    (receipt,) = answers(under_test, frame_of_passage(make_passage(SECTION)), verifier=verifier)
-    (beacon,) = read_replies(under_test.gateway.beacons(), verifier=verifier)
+    under_test = make_unit(section=SECTION, signer=signer_of(Role.UNIT, section_ids=(SECTION.section_id,)))
+    offer, notice = answers(under_test, arrival_frame(), verifier=VERIFIER)
+    (receipt,) = answers(under_test, frame_of_passage(make_passage(SECTION)), verifier=VERIFIER)
+    (beacon,) = read_replies(under_test.gateway.beacons(), verifier=VERIFIER)
     assert isinstance(offer, MapOffer)
     assert isinstance(notice, AdvisoryNotice)
     assert isinstance(receipt, Receipt)
@@ -225,15 +225,14 @@ def test_answers_are_signed_where_there_is_a_key():
 
 
 def test_a_recorded_advisory_does_not_verify_in_the_exchange_of_another_vehicle():
-    signer, verifier = keyed(3)
-    under_test = make_unit(section=SECTION, signer=signer)
+    under_test = make_unit(section=SECTION, signer=UNIT)
     taken = under_test.gateway.take(arrival_frame(), via="udp")
     (recorded,) = (parse_frame(frame) for out in taken.replies if out.name == "advisory" for frame in out.frames)
     (forged,) = split_into_frames(
         recorded.kind, recorded.fragment, exchange_id=b"of today", section_key=recorded.section_key
     )
     with pytest.raises(WireError, match="signature"):
-        read_frames([forged], verifier=verifier)
+        read_frames([forged], verifier=VERIFIER)
 
 
 def test_a_frame_about_another_section_than_its_message_is_refused():

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import asyncio
 import socket
+import struct
 from collections.abc import Iterable
+from functools import partial
 from typing import Any, TypeAlias, cast
 
 import structlog
 
 from roadgrip.errors import ConfigurationError
-from roadgrip.records import Passage
-from rsu_app.gateway import FrameGateway, OutFrames
+from rsu_app.gateway import FrameGateway, OutFrames, Sender
 from rsu_app.observability import Metrics
 
 _log = structlog.get_logger("roadgrip")
@@ -19,6 +20,11 @@ _log = structlog.get_logger("roadgrip")
 VIA = "udp"
 BUFFER_LIMIT_BYTES = 1_048_576
 """Bytes the socket could not take yet; above it frames are dropped and counted, as the air would."""
+
+_SO_MEMINFO = 55
+"""What Linux calls the socket option that tells a socket's memory, which the standard library has no name for."""
+_MEMINFO = struct.Struct("=9I")
+_MEMINFO_DROPS = 8
 
 PeerAddress: TypeAlias = tuple[str, int] | tuple[str, int, int, int]
 
@@ -39,7 +45,9 @@ class FrameEndpoint(asyncio.DatagramProtocol):
         self._metrics = metrics
         self._broadcast_address = broadcast_address
         self._transport: asyncio.DatagramTransport | None = None
-        self._tasks: set[asyncio.Task[None]] = set()
+        self._in_work_count = 0
+        self._kernel_count = 0
+        self._idle = asyncio.Event()
         self._closing = False
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
@@ -55,20 +63,19 @@ class FrameEndpoint(asyncio.DatagramProtocol):
 
     def error_received(self, exc: Exception) -> None:
         """Count what the network says about earlier frames; a vehicle that left is nothing to worry about."""
-        self._metrics.frames_dropped.labels(VIA, "network_error").inc()
+        self._metrics.frames_dropped.count(VIA, "network_error")
         _log.debug("udp_error", error=repr(exc))
 
     def datagram_received(self, data: bytes, addr: PeerAddress | tuple[str | Any, int]) -> None:
         """Answer a frame."""
         if self._closing:
             return
-        taken = self._gateway.take(data, via=VIA)
+        taken = self._gateway.take(data, via=VIA, sender=Sender(addr[0], addr[1], proven=False))
         if taken.replies:
             self.send(taken.replies, addr)
         if taken.passage is not None:
-            task = asyncio.get_running_loop().create_task(self._settle(taken.passage, addr))
-            self._tasks.add(task)
-            task.add_done_callback(self._tasks.discard)
+            self._in_work_count += 1
+            self._gateway.settle_later(taken.passage, via=VIA, send=partial(self._answer, addr))
 
     def send(self, replies: Iterable[OutFrames], addr: PeerAddress | tuple[str | Any, int]) -> int:
         """Send frames and return how many bytes left."""
@@ -76,11 +83,11 @@ class FrameEndpoint(asyncio.DatagramProtocol):
         for message in replies:
             for frame in message.frames:
                 if self._transport is None or _waiting_bytes(self._transport) > BUFFER_LIMIT_BYTES:
-                    self._metrics.frames_dropped.labels(VIA, "send_buffer_full").inc()
+                    self._metrics.frames_dropped.count(VIA, "send_buffer_full")
                     continue
                 self._transport.sendto(frame, addr)
                 sent_bytes += len(frame)
-                self._metrics.frames_sent.labels(VIA, message.name).inc()
+                self._metrics.frames_sent.count(VIA, message.name)
         return sent_bytes
 
     def broadcast(self, messages: Iterable[OutFrames]) -> int:
@@ -93,16 +100,32 @@ class FrameEndpoint(asyncio.DatagramProtocol):
             self.broadcast(self._gateway.beacons())
             await asyncio.sleep(period_s)
 
+    def observe(self) -> None:
+        """Count the datagrams that the kernel dropped since the last look, because nobody had read earlier ones."""
+        if self._transport is None:
+            return
+        link = self._transport.get_extra_info("socket")
+        try:
+            answer = link.getsockopt(socket.SOL_SOCKET, _SO_MEMINFO, _MEMINFO.size)
+        except OSError:  # before Linux 4.12, or elsewhere
+            return
+        total_count = _MEMINFO.unpack(answer)[_MEMINFO_DROPS]
+        self._metrics.frames_dropped.count(VIA, "kernel_buffer_full", by=(total_count - self._kernel_count) % 2**32)
+        self._kernel_count = total_count
+
     async def close(self) -> None:
         """Take no more frames, let passages in work be answered, then release the socket."""
         self._closing = True
-        if self._tasks:
-            await asyncio.wait(self._tasks)
+        if self._in_work_count:
+            await self._idle.wait()
         if self._transport is not None:
             self._transport.close()
 
-    async def _settle(self, passage: Passage, addr: PeerAddress | tuple[str | Any, int]) -> None:
-        self.send(await self._gateway.settle(passage, via=VIA), addr)
+    def _answer(self, addr: PeerAddress | tuple[str | Any, int], receipt: tuple[OutFrames, ...]) -> None:
+        self.send(receipt, addr)
+        self._in_work_count -= 1
+        if self._closing and not self._in_work_count:
+            self._idle.set()
 
 
 def _waiting_bytes(transport: asyncio.DatagramTransport) -> int:

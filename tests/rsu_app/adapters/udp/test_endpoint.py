@@ -143,3 +143,21 @@ def test_an_address_of_another_machine_is_refused_in_words():
             )
 
     asyncio.run(scenario())
+
+
+def test_what_the_kernel_drops_is_counted():
+    async def story():
+        under_test = make_unit()
+        async with on_the_air(under_test) as (endpoint, radio):
+            send(radio, *[bytes(1400)] * 400)  # many times what the socket's buffer holds, before anybody reads
+            await asyncio.sleep(0.1)  # the socket is read before timers are looked at
+            endpoint.observe()
+            received = under_test.count("roadgrip_frames_received_total", via="udp")
+            dropped = under_test.count("roadgrip_frames_dropped_total", via="udp", reason="kernel_buffer_full")
+            assert dropped > 0
+            assert received + dropped == 400
+            endpoint.observe()
+            again = under_test.count("roadgrip_frames_dropped_total", via="udp", reason="kernel_buffer_full")
+            assert again == dropped
+
+    asyncio.run(story())
