@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from http import HTTPStatus
+from typing import Any
 
 import structlog
 from fastapi import FastAPI, Request, Response
 from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
+from starlette.types import Receive, Scope, Send
 
 from roadgrip.reasons import Reason
 from rsu_app.adapters.http import frames, operations, sections
+from rsu_app.adapters.http.access import SECURITY_SCHEMES
+from rsu_app.adapters.http.front import Front
 from rsu_app.adapters.http.guards import BodyGuard, RequestCounter
-from rsu_app.adapters.http.problems import ProblemError, problem_response, refusal
+from rsu_app.adapters.http.problems import ProblemError, documented, problem_response, refusal
 from rsu_app.adapters.http.site import Site
 
 _log = structlog.get_logger("roadgrip")
@@ -32,13 +36,15 @@ _TAGS = [
 
 def create_app(site: Site) -> FastAPI:
     """Return the application of one unit."""
-    app = FastAPI(
+    app = _UnitApi(
         title="roadgrip road side unit",
         version=site.version,
         description=_DESCRIPTION,
         openapi_tags=_TAGS,
         license_info={"name": "Apache-2.0"},
         redoc_url=None,
+        # The framework would promise its own words for a request that is not as documented.
+        responses=documented(HTTPStatus.UNPROCESSABLE_ENTITY),
     )
     app.state.site = site
     app.include_router(sections.router)
@@ -51,9 +57,26 @@ def create_app(site: Site) -> FastAPI:
     # The last one added is the first one asked: every request is counted, also those that the guard turns away.
     app.add_middleware(BodyGuard, body_limit_bytes=site.body_limit_bytes)
     app.add_middleware(
-        RequestCounter, on_request=lambda route, status: site.metrics.http_requests.labels(route, str(status)).inc()
+        RequestCounter, on_request=lambda route, status: site.metrics.http_requests.count(route, str(status))
     )
+    app.front = Front(super(_UnitApi, app).__call__, site=site, on_bug=bug_response)
     return app
+
+
+class _UnitApi(FastAPI):
+    """The framework's application behind the front; its description also says how operators show that they are."""
+
+    front: Front
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Let the front answer, or hand the request on."""
+        await self.front(scope, receive, send)
+
+    def openapi(self) -> dict[str, Any]:
+        """Return the description of the interface."""
+        document = super().openapi()
+        document["components"]["securitySchemes"] = SECURITY_SCHEMES
+        return document
 
 
 async def _on_problem(_request: Request, error: Exception) -> Response:
@@ -94,8 +117,12 @@ _SLUGS = {
 
 
 async def _on_bug(request: Request, error: Exception) -> Response:
+    return bug_response(request.url.path, error)
+
+
+def bug_response(path: str, error: Exception) -> Response:
     """Return 500 without inner details; the log has them."""
-    _log.error("bug", path=request.url.path, error=repr(error))
+    _log.error("bug", path=path, error=repr(error))
     return problem_response(
         ProblemError("internal", HTTPStatus.INTERNAL_SERVER_ERROR, "the unit failed; the passage was not accepted")
     )

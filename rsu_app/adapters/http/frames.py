@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import asyncio
 from http import HTTPStatus
 from typing import Annotated
 
 from fastapi import APIRouter, Depends, Request, Response
+from starlette.types import Scope
 
 from roadgrip.errors import WireError
 from roadgrip.frames import iter_frames, join_frames
 from rsu_app.adapters.http.problems import ProblemError, documented, refusal
 from rsu_app.adapters.http.site import Site, site_of
-from rsu_app.gateway import OutFrames
+from rsu_app.gateway import SOMEBODY, OutFrames, Sender
 
 FRAMES_MEDIA_TYPE = "application/vnd.roadgrip.frames"
+FRAMES_PATH = "/v1/frames"
 VIA = "http"
 
 router = APIRouter()
@@ -22,7 +25,7 @@ _BINARY = {"schema": {"type": "string", "format": "binary"}}
 
 
 @router.post(
-    "/v1/frames",
+    FRAMES_PATH,
     tags=["passages"],
     summary="The frames of the radio, over cellular",
     response_class=Response,
@@ -45,19 +48,39 @@ async def exchange_frames(request: Request, site: Annotated[Site, Depends(site_o
         raise ProblemError(
             "unsupported_media_type", HTTPStatus.UNSUPPORTED_MEDIA_TYPE, f"the body must be {FRAMES_MEDIA_TYPE}"
         )
+    return await frames_answered(site, await request.body(), sender=sender_of(request.scope))
+
+
+def sender_of(scope: Scope) -> Sender:
+    """Return who sends a request. Each may come by another port, so only the host tells senders apart."""
+    client = scope.get("client")
+    return Sender(client[0]) if client else SOMEBODY
+
+
+async def frames_answered(site: Site, body: bytes, *, sender: Sender) -> Response:
+    """Return the frames that the unit answers with to those of a body.
+
+    Args:
+        site: The unit.
+        body: Frames one after the other, or rubbish.
+        sender: Who sends them.
+
+    Raises:
+        ProblemError: The body is not frames; nothing in it was looked at.
+    """
     try:
         # The whole body before the first frame: a body that is broken behind it changes nothing.
-        datagrams = tuple(iter_frames(await request.body()))
+        datagrams = tuple(iter_frames(body))
     except WireError as error:
-        site.metrics.frames_dropped.labels(VIA, error.reason.value).inc()
+        site.metrics.frames_dropped.count(VIA, error.reason.value)
         raise refusal(error.reason, error.detail) from error
+    # Each is heard before any of them is settled: a body waits for one commit, and not for one per passage.
+    heard = [site.gateway.take(datagram, via=VIA, sender=sender) for datagram in datagrams]
+    passages = [taken.passage for taken in heard if taken.passage is not None]
+    receipts = iter(await asyncio.gather(*(site.gateway.settle(passage, via=VIA) for passage in passages)))
     answers: list[OutFrames] = []
-    for datagram in datagrams:
-        taken = site.gateway.take(datagram, via=VIA)
-        answers += taken.replies
-        if taken.passage is not None:
-            answers += await site.gateway.settle(taken.passage, via=VIA)
+    for taken in heard:
+        answers += taken.replies if taken.passage is None else next(receipts)
     for message in answers:
-        site.metrics.frames_sent.labels(VIA, message.name).inc(len(message.frames))
-    body = join_frames(frame for message in answers for frame in message.frames)
-    return Response(body, media_type=FRAMES_MEDIA_TYPE)
+        site.metrics.frames_sent.count(VIA, message.name, by=len(message.frames))
+    return Response(join_frames(f for m in answers for f in m.frames), media_type=FRAMES_MEDIA_TYPE)

@@ -33,49 +33,68 @@ class BodyGuard:
             await self._app(scope, receive, send)
             return
         try:
-            body = await self._body(scope, receive)
+            body = await read_body(scope, receive, limit_bytes=self._limit_bytes, timeout_s=self._timeout_s)
         except ProblemError as error:
             await problem_response(error)(scope, receive, send)
             return
-        if body is None:  # the client left
-            return
-        waiting: Message | None = {"type": "http.request", "body": body, "more_body": False}
+        if body is not None:  # or the client left
+            await self._app(scope, read_again(body, receive), send)
 
-        async def replay() -> Message:
-            nonlocal waiting
-            if waiting is not None:
-                message, waiting = waiting, None
-                return message
-            return await receive()
 
-        await self._app(scope, replay, send)
+async def read_body(
+    scope: Scope, receive: Receive, *, limit_bytes: int, timeout_s: float = BODY_TIMEOUT_S
+) -> bytes | None:
+    """Return the whole body of a request, None if the client left meanwhile.
 
-    async def _body(self, scope: Scope, receive: Receive) -> bytes | None:
-        announced = next((v for k, v in scope["headers"] if k == b"content-length"), b"0")
-        # By length first: Python refuses to read a number of thousands of digits.
-        if announced.isdigit() and (len(announced) > 12 or int(announced) > self._limit_bytes):
-            raise self._oversized()
-        parts: list[bytes] = []
-        size_bytes = 0
-        try:
-            async with asyncio.timeout(self._timeout_s):
-                while True:
-                    message = await receive()
-                    if message["type"] != "http.request":
-                        return None
-                    parts.append(message.get("body", b""))
-                    size_bytes += len(parts[-1])
-                    if size_bytes > self._limit_bytes:
-                        raise self._oversized()
-                    if not message.get("more_body", False):
-                        return b"".join(parts)
-        except TimeoutError:
-            raise ProblemError(
-                "timeout", HTTPStatus.REQUEST_TIMEOUT, f"the body was not there within {self._timeout_s} s"
-            ) from None
+    Args:
+        scope: Of the request.
+        receive: Gives its body.
+        limit_bytes: More is refused, unread if the request says so beforehand.
+        timeout_s: How long all of it may take.
 
-    def _oversized(self) -> ProblemError:
-        return refusal(Reason.OVERSIZED, f"a body has at most {self._limit_bytes} bytes")
+    Raises:
+        ProblemError: It is too long, or came too slowly.
+    """
+    announced = next((v for k, v in scope["headers"] if k == b"content-length"), b"0")
+    # By length first: Python refuses to read a number of thousands of digits.
+    if announced.isdigit() and (len(announced) > 12 or int(announced) > limit_bytes):
+        raise _oversized(limit_bytes)
+    parts: list[bytes] = []
+    size_bytes = 0
+    try:
+        async with asyncio.timeout(timeout_s):
+            while True:
+                message = await receive()
+                if message["type"] != "http.request":
+                    return None
+                parts.append(message.get("body", b""))
+                size_bytes += len(parts[-1])
+                if size_bytes > limit_bytes:
+                    raise _oversized(limit_bytes)
+                if not message.get("more_body", False):
+                    return b"".join(parts)
+    except TimeoutError:
+        raise ProblemError(
+            "timeout", HTTPStatus.REQUEST_TIMEOUT, f"the body was not there within {timeout_s} s"
+        ) from None
+
+
+def read_again(body: bytes, receive: Receive) -> Receive:
+    """Return a way to receive a body that was read already, and then what comes after it."""
+    waiting: Message | None = {"type": "http.request", "body": body, "more_body": False}
+
+    async def replay() -> Message:
+        nonlocal waiting
+        if waiting is not None:
+            message, waiting = waiting, None
+            return message
+        return await receive()
+
+    return replay
+
+
+def _oversized(limit_bytes: int) -> ProblemError:
+    return refusal(Reason.OVERSIZED, f"a body has at most {limit_bytes} bytes")
 
 
 class RequestCounter:

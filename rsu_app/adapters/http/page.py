@@ -5,6 +5,8 @@ The only place of the unit where speeds are shown in km/h, since people read it.
 
 from __future__ import annotations
 
+import base64
+import hashlib
 from collections.abc import Iterable
 from dataclasses import dataclass
 from html import escape
@@ -25,6 +27,16 @@ h2 { margin: 0 0 .5rem } .speed { font-size: 2.5rem; font-weight: 700 }
 @media (prefers-color-scheme: dark) { body { background: #12191d; color: #dbe5ea } article { border-color: #3a4a53 }
  a { color: #8fc7ee } .bar span { background: #fff } .bar { background: #33434c } }
 """
+_STYLE_DIGEST = base64.b64encode(hashlib.sha256(_STYLE.encode()).digest()).decode()
+PAGE_HEADERS = {
+    # Nothing but the style above and that of the bars: no script, no picture, no frame around it, from anywhere.
+    "Content-Security-Policy": f"default-src 'none'; style-src-elem 'sha256-{_STYLE_DIGEST}'; "
+    "style-src-attr 'unsafe-inline'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+    "Referrer-Policy": "no-referrer",
+    "Cache-Control": "no-store",
+}
 _MU_AXIS = 1.2
 """Right end of the bar; no road offers more."""
 
@@ -38,26 +50,43 @@ class SectionView:
     friction: SectionFriction | None
 
 
-def status_page(views: Iterable[SectionView], *, problems: tuple[str, ...], version: str) -> str:
+@dataclass(frozen=True, slots=True)
+class UnitState:
+    """How the unit is, for operators' eyes only.
+
+    Attributes:
+        version: Version of the software.
+        problems: Why the unit is not ready; empty when it is.
+    """
+
+    version: str
+    problems: tuple[str, ...]
+
+
+def status_page(views: Iterable[SectionView], *, state: UnitState | None) -> str:
     """Return the page as HTML.
 
     Args:
         views: The sections in the order of the configuration.
-        problems: Why the unit is not ready; empty when it is.
-        version: Version of the software.
+        state: None for whoever is no operator.
     """
-    state = "ready" if not problems else "not ready: " + "; ".join(problems)
     articles = "\n".join(_article(view) for view in views)
     return f"""<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">
 <meta http-equiv="refresh" content="5"><title>roadgrip road side unit</title><style>{_STYLE}</style></head><body>
 <h1>Road side unit</h1>
-<p class="{"quiet" if not problems else "bad"}">roadgrip {escape(version)}, {escape(state)}</p>
+{"" if state is None else _state(state)}
 {articles}
 <p><a href="/docs">API, to try out</a> · <a href="/openapi.json">OpenAPI</a> · <a href="/metrics">metrics</a> ·
 <a href="/health/ready">readiness</a> · <a href="/v1/sections">sections</a></p>
 </body></html>
 """
+
+
+def _state(state: UnitState) -> str:
+    words = "ready" if not state.problems else "not ready: " + "; ".join(state.problems)
+    mood = "bad" if state.problems else "quiet"
+    return f'<p class="{mood}">roadgrip {escape(state.version)}, {escape(words)}</p>'
 
 
 def _article(view: SectionView) -> str:

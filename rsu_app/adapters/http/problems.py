@@ -7,6 +7,7 @@ document; the status only helps those that look at nothing else.
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from http import HTTPStatus
 from typing import Any
 
@@ -28,6 +29,10 @@ STATUS_OF_REASON: dict[Reason, HTTPStatus] = {
     Reason.UNSIGNED: HTTPStatus.FORBIDDEN,
     Reason.BAD_SIGNATURE: HTTPStatus.FORBIDDEN,
     Reason.UNKNOWN_KEY: HTTPStatus.FORBIDDEN,
+    Reason.CERTIFICATE_EXPIRED: HTTPStatus.FORBIDDEN,
+    Reason.CERTIFICATE_REVOKED: HTTPStatus.FORBIDDEN,
+    Reason.NOT_PERMITTED: HTTPStatus.FORBIDDEN,
+    Reason.OUTSIDE_REPLAY_WINDOW: HTTPStatus.FORBIDDEN,
     # Not ours, or no longer.
     Reason.UNKNOWN_SECTION: HTTPStatus.NOT_FOUND,
     Reason.STALE_MAP: HTTPStatus.CONFLICT,
@@ -41,6 +46,7 @@ STATUS_OF_REASON: dict[Reason, HTTPStatus] = {
     Reason.REPLAYED: HTTPStatus.CONFLICT,
     # Not now.
     Reason.BUDGET_EXHAUSTED: HTTPStatus.TOO_MANY_REQUESTS,
+    Reason.RATE_LIMITED: HTTPStatus.TOO_MANY_REQUESTS,
     Reason.BUSY: HTTPStatus.SERVICE_UNAVAILABLE,
     Reason.NO_MODEL: HTTPStatus.SERVICE_UNAVAILABLE,
     Reason.STORE_UNAVAILABLE: HTTPStatus.SERVICE_UNAVAILABLE,
@@ -84,13 +90,22 @@ class Problem(BaseModel):
 class ProblemError(Exception):
     """Leaves a route early with a problem document."""
 
-    def __init__(self, reason: str, status: HTTPStatus, detail: str, *, may_retry: bool = False) -> None:
+    def __init__(
+        self,
+        reason: str,
+        status: HTTPStatus,
+        detail: str,
+        *,
+        may_retry: bool = False,
+        headers: Mapping[str, str] | None = None,
+    ) -> None:
         """Keep what the document will say."""
         super().__init__(detail)
         self.reason = reason
         self.status = status
         self.detail = detail
         self.may_retry = may_retry
+        self.headers = dict(headers or {})
 
 
 def refusal(reason: Reason, detail: str) -> ProblemError:
@@ -107,7 +122,7 @@ def problem_response(error: ProblemError) -> Response:
         detail=error.detail[:500],
         may_retry=error.may_retry,
     )
-    headers = {"Retry-After": str(RETRY_AFTER_S)} if error.may_retry else None
+    headers = error.headers | ({"Retry-After": str(RETRY_AFTER_S)} if error.may_retry else {})
     return Response(
         json.dumps(document.model_dump()), status_code=error.status, media_type=PROBLEM_MEDIA_TYPE, headers=headers
     )

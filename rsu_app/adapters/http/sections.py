@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from http import HTTPStatus
 from typing import Annotated, TypeVar
 
 import structlog
-from fastapi import APIRouter, Depends, Header, Path, Query, Response
+from fastapi import APIRouter, Depends, Header, Path, Query, Request, Response
 
 from roadgrip.reasons import Reason
 from roadgrip.records import AdvisoryNotice, MapOffer, Rejected
 from roadgrip.section import RoadSection
 from roadgrip.section_file import section_to_json
+from rsu_app.adapters.http.access import OPERATOR_PROBLEMS, OPERATORS_ONLY
+from rsu_app.adapters.http.frames import sender_of
 from rsu_app.adapters.http.models import (
     AdvisoryModel,
     BroadcastModel,
@@ -27,7 +30,9 @@ from rsu_app.adapters.http.models import (
     section_model,
 )
 from rsu_app.adapters.http.problems import STATUS_OF_REASON, ProblemError, documented, refusal
-from rsu_app.adapters.http.site import Site, site_of
+from rsu_app.adapters.http.site import Site, needs, site_of
+from rsu_app.gateway import Sender
+from rsu_app.operator_tokens import TokenScope
 
 _log = structlog.get_logger("roadgrip")
 
@@ -36,7 +41,13 @@ T = TypeVar("T")
 CBOR_MEDIA_TYPE = "application/cbor"
 TABLE_DIGESTS_HEADER = "Roadgrip-Table-Digests"
 
-router = APIRouter(prefix="/v1/sections")
+PREFIX = "/v1/sections"
+ADVISORY_PATH = PREFIX + "/{section_id}/advisory"
+MAP_PATH = PREFIX + "/{section_id}/map"
+PASSAGES_PATH = PREFIX + "/{section_id}/passages"
+MAPS_KEPT_COUNT = 64
+
+router = APIRouter(prefix=PREFIX)
 
 SiteOf = Annotated[Site, Depends(site_of)]
 SectionId = Annotated[str, Path(max_length=64, description="Id of a section the unit serves.", examples=["long-turn"])]
@@ -71,7 +82,7 @@ async def one_section(site: SiteOf, section_id: SectionId) -> SectionModel:
 
 
 @router.get(
-    "/{section_id}/map",
+    MAP_PATH.removeprefix(PREFIX),
     tags=["sections"],
     summary="The map, for people or for vehicles",
     response_class=Response,
@@ -105,10 +116,12 @@ async def section_map(
         return Response(status_code=HTTPStatus.NOT_MODIFIED, headers=headers)
     if as_cbor:
         return Response(site.gateway.map_message(offer), media_type=CBOR_MEDIA_TYPE, headers=headers)
-    return Response(section_to_json(offer.section), media_type="application/json", headers=headers)
+    return Response(_map_json(offer.section), media_type="application/json", headers=headers)
 
 
-@router.get("/{section_id}/advisory", tags=["advice"], summary="What drivers are told now", responses=_NO_SECTION)
+@router.get(
+    ADVISORY_PATH.removeprefix(PREFIX), tags=["advice"], summary="What drivers are told now", responses=_NO_SECTION
+)
 async def section_advisory(site: SiteOf, section_id: SectionId) -> AdvisoryModel:
     """Return speed, reason, confidence and the friction behind it."""
     return _advice(site, _known(site.unit.map_offer(section_id)).section, _known(site.unit.advisory_notice(section_id)))
@@ -151,16 +164,27 @@ async def friction_stream(site: SiteOf, section_id: SectionId) -> Response:
 
 
 @router.post(
-    "/{section_id}/passages",
+    PASSAGES_PATH.removeprefix(PREFIX),
     tags=["passages"],
     summary="Report a passage",
     responses=documented(*STATUS_OF_REASON.values()),
 )
-async def report_passage(site: SiteOf, section_id: SectionId, passage: PassageModel) -> ReceiptModel:
+async def report_passage(request: Request, site: SiteOf, section_id: SectionId, passage: PassageModel) -> ReceiptModel:
     """Return the receipt, after the passage is on the disk. Sending it twice changes nothing and answers the same.
 
     The receipt never holds the estimate. A passage that is stored but not counted says why in `not_counted`.
     """
+    return await passage_answered(site, section_id, passage, sender=sender_of(request.scope))
+
+
+async def passage_answered(site: Site, section_id: str, passage: PassageModel, *, sender: Sender) -> ReceiptModel:
+    """Return the receipt of a passage, as `report_passage` does.
+
+    Raises:
+        ProblemError: It is refused.
+    """
+    if not site.gateway.is_allowed(sender):
+        raise refusal(Reason.RATE_LIMITED, "more passages a second than one address may send")
     record = passage.to_record(section_id)
     if site.signatures_required:
         outcome = Rejected(Reason.UNSIGNED, "JSON cannot be signed; send frames to /v1/frames")
@@ -176,7 +200,9 @@ async def report_passage(site: SiteOf, section_id: SectionId, passage: PassageMo
     "/{section_id}/detections",
     tags=["detections"],
     summary="A loop or a camera reports a vehicle",
-    responses=documented(HTTPStatus.NOT_FOUND, HTTPStatus.SERVICE_UNAVAILABLE),
+    responses=documented(HTTPStatus.NOT_FOUND, HTTPStatus.SERVICE_UNAVAILABLE) | OPERATOR_PROBLEMS,
+    openapi_extra=OPERATORS_ONLY,
+    dependencies=[Depends(needs(TokenScope.DETECTIONS))],
 )
 async def report_detection(site: SiteOf, section_id: SectionId, detection: DetectionModel) -> BroadcastModel:
     """Broadcast map and advisory, for vehicles that do not know where they are."""
@@ -198,6 +224,11 @@ def _known(answer: T | Rejected) -> T:
     if isinstance(answer, Rejected):
         raise refusal(answer.reason, answer.detail)
     return answer
+
+
+@lru_cache(MAPS_KEPT_COUNT)
+def _map_json(section: RoadSection) -> str:
+    return section_to_json(section)  # written once for each map: it takes longer than everything else about a request
 
 
 def _listed(offer: MapOffer) -> SectionModel:

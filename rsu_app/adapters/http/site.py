@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Awaitable, Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Annotated
 
-from fastapi import Request
+from fastapi import Depends, Request
 
+from rsu_app.adapters.http.access import OperatorAccess
 from rsu_app.adapters.http.stream import StreamDesk
 from rsu_app.gateway import FrameGateway
 from rsu_app.intake import PassageIntake
 from rsu_app.observability import Metrics
-from rsu_app.usecases import RoadSideUnit
+from rsu_app.operator_tokens import TokenScope
+from rsu_app.usecases import Check, RoadSideUnit
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +44,9 @@ class Site:
         signatures_required: Then a passage as JSON, which cannot be signed, is refused.
         body_limit_bytes: Largest request body.
         stream_heartbeat_s: How often a silent stream says so.
+        now_s: The machine's monotonic clock.
+        access: Who may ask what.
+        checks: What HTTP itself adds to the unit's readiness; for information, never required.
     """
 
     unit: RoadSideUnit
@@ -54,9 +61,24 @@ class Site:
     signatures_required: bool = False
     body_limit_bytes: int = 65_536
     stream_heartbeat_s: float = 15.0
+    now_s: Callable[[], float] = time.monotonic
+    access: OperatorAccess = field(default_factory=OperatorAccess)
+    checks: Callable[[], tuple[Check, ...]] = tuple
 
 
 async def site_of(request: Request) -> Site:  # a plain function would be sent to a thread, at twice the cost of all
     """Return the site of the application that serves a request."""
     site: Site = request.app.state.site
     return site
+
+
+def needs(scope: TokenScope) -> Callable[..., Awaitable[None]]:
+    """Return what stands before a call that is for operators: it raises the problem, and counts it."""
+
+    async def check(request: Request, site: Annotated[Site, Depends(site_of)]) -> None:
+        problem = site.access.refusal(scope, request)
+        if problem is not None:
+            site.metrics.http_refusals.count(problem.reason)
+            raise problem
+
+    return check
