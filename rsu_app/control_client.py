@@ -20,29 +20,33 @@ class ControlError(RoadgripError):
 
 
 class _UnixConnection(http.client.HTTPConnection):
-    def __init__(self, path: Path) -> None:
-        super().__init__("unit", timeout=TIMEOUT_S)
+    def __init__(self, path: Path, *, timeout_s: float) -> None:
+        super().__init__("unit", timeout=timeout_s)
         self._path = path
+        self._timeout_s = timeout_s
 
     def connect(self) -> None:
         self.sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        self.sock.settimeout(TIMEOUT_S)
+        self.sock.settimeout(self._timeout_s)
         with socket_name(self._path) as name:
             self.sock.connect(name)
 
 
-def ask(socket_path: Path, path: str, order: dict[str, Any] | None = None) -> dict[str, Any] | None:
+def ask(
+    socket_path: Path, path: str, order: dict[str, Any] | None = None, *, timeout_s: float = TIMEOUT_S
+) -> dict[str, Any] | None:
     """Return what the running unit answers, None if no unit runs.
 
     Args:
         socket_path: Its control socket.
         path: What is asked, such as "/status".
         order: What is to be done; None only asks.
+        timeout_s: How long the unit may be silent.
 
     Raises:
         ControlError: It runs, and does not answer as it should, or this account may not ask.
     """
-    connection = _UnixConnection(socket_path)
+    connection = _UnixConnection(socket_path, timeout_s=timeout_s)
     try:
         body = None if order is None else json.dumps(order)
         headers = {} if body is None else {"Content-Type": "application/json"}

@@ -13,16 +13,21 @@ import sys
 import time
 from collections.abc import Callable, MutableMapping
 from dataclasses import dataclass
+from functools import cached_property
+from math import nan
 from typing import TYPE_CHECKING, Any, Literal
 
 import structlog
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, disable_created_metrics, generate_latest
 from prometheus_client.process_collector import ProcessCollector
 
+from rsu_app.latest_refusals import LatestRefusals
 from rsu_app.rate import RateLimit
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
+
+    from prometheus_client import Metric
 
 OTHER_SECTION = "other"
 """Label of a section this unit does not serve: a sender must not be able to make labels."""
@@ -32,6 +37,30 @@ _INFERENCE_BUCKETS_S = (1e-5, 2.5e-5, 5e-5, 1e-4, 2.5e-4, 5e-4, 1e-3, 2.5e-3, 5e
 
 
 disable_created_metrics()  # type: ignore[no-untyped-call] # a series per series that says when it began doubles the answer and nobody reads it
+
+
+class _Counter(Counter):
+    """A counter whose series are counted in a dictionary, and brought up to date when somebody reads them.
+
+    The library's own way takes as long as parsing a frame, and each passage counts some seven things. Labels come
+    from closed sets, so the dictionary stays small. To be counted and read by one thread.
+    """
+
+    def count(self, *labels: str, by: int = 1) -> None:
+        """Count one more, or several, of the series with these labels."""
+        tally = self._tally
+        tally[labels] = tally.get(labels, 0) + by
+
+    def collect(self) -> Iterable[Metric]:
+        """Return all series as they stand."""
+        while self._tally:
+            labels, number = self._tally.popitem()
+            (self.labels(*labels) if labels else self).inc(number)
+        return super().collect()
+
+    @cached_property
+    def _tally(self) -> dict[tuple[str, ...], int]:
+        return {}
 
 
 class Metrics:
@@ -45,6 +74,7 @@ class Metrics:
         self.registry = CollectorRegistry()
         self._section_ids = frozenset(section_ids)
         self._made: list[MetricRow] = []
+        self.latest_refusals = LatestRefusals()
         ProcessCollector(registry=self.registry)
 
         self.build_info = self._gauge("roadgrip_build_info", "1; the labels say what runs.", "version", "python")
@@ -110,6 +140,15 @@ class Metrics:
         self.http_requests = self._counter(
             "roadgrip_http_requests_total", "Requests by route and status.", "route", "status"
         )
+        self.http_refusals = self._counter(
+            "roadgrip_http_refusals_total",
+            "Connections that were refused or let go, and requests without the right to ask, by reason.",
+            "reason",
+        )
+        self.certificate_days = self._gauge(
+            "roadgrip_http_certificate_days", "Days until the certificate of HTTPS ends; NaN without one."
+        )
+        self.certificate_days.set(nan)
         self.bundle = self._gauge(
             "roadgrip_bundle_info",
             "1; the labels say which bundle is `live`, `previous` or `candidate`.",
@@ -157,8 +196,45 @@ class Metrics:
         self.drift_alarm = self._gauge(
             "roadgrip_drift_alarm", "1 while somebody should look at the section, by what for.", "section", "alarm"
         )
+        self._register_vital_signs()
         self.log_lines_dropped = self._counter(
             "roadgrip_log_lines_dropped_total", "Log lines above the budget `log.lines_limit_per_s`."
+        )
+
+    def _register_vital_signs(self) -> None:
+        """Register what tells of the box rather than of its road."""
+        self.signing_certificate_ends = self._gauge(
+            "roadgrip_signing_certificate_ends_unix_seconds",
+            "When the certificate ends by which the unit signs; NaN without one.",
+        )
+        self.signing_certificate_ends.set(nan)
+        self.condition_ok = self._gauge(
+            "roadgrip_condition_ok", "1 while a condition of `/health/ready` holds; the window is no need.", "condition"
+        )
+        self.commit_age = self._gauge(
+            "roadgrip_store_commit_age_seconds",
+            "Since the last commit that reached the disk; NaN before the first and after a failure.",
+        )
+        self.writer_busy = self._gauge(
+            "roadgrip_store_writer_busy_seconds", "How long the same writes have been under way; 0 without any."
+        )
+        self.damaged_kept = self._gauge(
+            "roadgrip_store_damaged_kept", "Damaged databases that were moved aside and still lie there."
+        )
+        self.disk_free = self._gauge("roadgrip_disk_free_bytes", "Room left where the database is.")
+        self.disk_size = self._gauge("roadgrip_disk_size_bytes", "Size of the file system where the database is.")
+        self.memory_limit = self._gauge(
+            "roadgrip_memory_limit_bytes", "Memory that the process may take; NaN without a limit."
+        )
+        self.udp_kernel_drops = self._gauge(
+            "roadgrip_udp_kernel_drops", "Datagrams that the kernel dropped since the start, for want of room."
+        )
+        self.clock_steps = self._counter("roadgrip_clock_steps_total", "Steps of the wall clock that were seen.")
+        self.clock_synchronised = self._gauge(
+            "roadgrip_clock_synchronised", "1 while the kernel says that something keeps the wall clock right."
+        )
+        self.clock_max_error = self._gauge(
+            "roadgrip_clock_max_error_seconds", "How wrong it may be at most, by the kernel's account."
         )
 
     def section_label(self, section_id: str) -> str:
@@ -174,6 +250,10 @@ class Metrics:
             if sample.name.endswith("_total")
         ]
 
+    def log_lines_dropped_count(self) -> float:
+        """Return how many log lines were above the budget since the start."""
+        return self.registry.get_sample_value("roadgrip_log_lines_dropped_total") or 0.0
+
     def exposition(self) -> bytes:
         """Return all metrics in the text format of Prometheus."""
         return generate_latest(self.registry)
@@ -182,9 +262,9 @@ class Metrics:
         """Return every metric of ours as the documentation shows it."""
         return tuple(self._made)
 
-    def _counter(self, name: str, meaning: str, *labels: str) -> Counter:
+    def _counter(self, name: str, meaning: str, *labels: str) -> _Counter:
         self._made.append(MetricRow(name, "counter", labels, meaning))
-        return Counter(name, meaning, labels, registry=self.registry)
+        return _Counter(name, meaning, labels, registry=self.registry)
 
     def _gauge(self, name: str, meaning: str, *labels: str) -> Gauge:
         self._made.append(MetricRow(name, "gauge", labels, meaning))

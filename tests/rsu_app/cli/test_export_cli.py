@@ -51,7 +51,7 @@ def kept(config, passages):
 
     async def story():
         store = open_store(config.parent / "rsu.sqlite3")
-        await asyncio.gather(*(store.append(entry) for entry in passages))
+        await asyncio.gather(*(store.append([entry]) for entry in passages))
         entry = await store.record(
             at_unix_s=NOON_UNIX_S, actor="anna", action=Action.SWITCHED, subject=LIVE_ID, reason=""
         )

@@ -1,0 +1,1 @@
+"""What keeps a box from serving its road, and what mends it: read at the edge, judged by pure functions."""
