@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import json
-import signal
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
@@ -14,6 +11,7 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from rsu_app.cli.interruption import ended_like_ctrl_c
 from rsu_app.export_file import ExportFailedError
 from rsu_app.moments import shown_moment, unix_s_of
 from rsu_app.settings import CONFIG_VARIABLE, load_settings
@@ -54,7 +52,7 @@ def export(
     if out.exists() and not force:
         raise ExportFailedError(f"{out} is there already; --force replaces it")
     request = ExportRequest(_moment("--since", since), _moment("--until", until), section)
-    with _ended_like_ctrl_c(), _progress_bar() as bar:
+    with ended_like_ctrl_c(), _progress_bar() as bar:
         task = bar.add_task("exporting", total=None)
         head, count = export_passages(
             settings,
@@ -99,13 +97,3 @@ def _progress_bar() -> Progress:
         disable=not console.is_terminal,
         transient=True,
     )
-
-
-@contextmanager
-def _ended_like_ctrl_c() -> Iterator[None]:
-    """Let a polite request to end leave no half file, either."""
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)

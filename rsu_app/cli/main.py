@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from importlib.metadata import version as distribution_version
 from pathlib import Path
 from typing import Annotated
@@ -12,14 +11,17 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from roadgrip.errors import RoadgripError
+from rsu_app.cli.backup import backup, restore
+from rsu_app.cli.doctor import doctor
 from rsu_app.cli.export import export
 from rsu_app.cli.ledger import ledger_app
-from rsu_app.cli.rollout import rollback, status, switch, update
+from rsu_app.cli.rollout import rollback, switch, update
 from rsu_app.cli.section import section_app
+from rsu_app.cli.serving import one_line_complaints
+from rsu_app.cli.serving import serve as serve_unit
+from rsu_app.cli.status import status
+from rsu_app.cli.token import token_app
 from rsu_app.settings import CONFIG_VARIABLE, load_settings, settings_rows, settings_table, shown_value
-
-USAGE_ERROR = 2
 
 app = typer.Typer(
     name="roadgrip-rsu",
@@ -36,7 +38,8 @@ app.add_typer(database, name="db")
 app.add_typer(config, name="config")
 app.add_typer(section_app, name="section")
 app.add_typer(ledger_app, name="ledger")
-for command in (status, update, switch, rollback, export):
+app.add_typer(token_app, name="token")
+for command in (status, doctor, update, switch, rollback, export, backup, restore):
     app.command()(command)
 
 ConfigFile = Annotated[
@@ -73,9 +76,7 @@ def serve(config_file: ConfigFile = None) -> None:
     Migrates the database, restores the window, then listens: frames over UDP, and HTTP with the same frames, JSON, an
     event stream, health and metrics. Logs go to standard output, one JSON object a line.
     """
-    from rsu_app.service import run
-
-    run(load_settings(config_file))
+    serve_unit(config_file)
 
 
 @database.command()
@@ -144,8 +145,5 @@ def table_of_metrics() -> None:
 
 def run() -> None:
     """Run the command; a promise broken by the input is one line and exit code 2, never a traceback."""
-    try:
+    with one_line_complaints():
         app()
-    except RoadgripError as error:
-        print(f"roadgrip-rsu: {error}", file=sys.stderr)
-        sys.exit(USAGE_ERROR)
