@@ -26,19 +26,20 @@ LIVE_LIBRARIES = {
 _BYTES_PER_MB = 1e6
 
 
-def installed(folder: Path) -> Path:
-    """Return the Python of a new environment that holds the locked vehicle role and roadgrip's wheel, nothing else.
+def installed(folder: Path, *, role: str = "vehicle") -> Path:
+    """Return the Python of a new environment that holds a locked role and roadgrip's wheel, nothing else.
 
     Needs a package index for what is not in the cache.
 
     Args:
         folder: An empty folder that becomes the environment.
+        role: Which of `requirements/ROLE.txt`.
     """
     uv, python = Path(sys.executable).with_name("uv"), folder / "venv" / "bin" / "python"
     _run(sys.executable, "-m", "build", "--no-isolation", "--wheel", "--outdir", folder, ROOT)
     _run(uv, "venv", "--quiet", "--python", sys.executable, folder / "venv")
     install = (uv, "pip", "install", "--quiet", "--compile-bytecode", "--python", python)
-    _run(*install, "--require-hashes", "-r", ROOT / "requirements" / "vehicle.txt")
+    _run(*install, "--require-hashes", "-r", ROOT / "requirements" / f"{role}.txt")
     _run(*install, "--no-deps", *folder.glob("*.whl"))
     return python
 

@@ -1,0 +1,131 @@
+"""What the appliance was to reach, and which measured figure is held against it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from bench.appliance.peers import PEERS
+
+Figures = Mapping[str, Any]
+"""What the parts have measured, by the name of the part."""
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """One of them.
+
+    Attributes:
+        key: Name of the figure in `bench.json`.
+        meaning: For people.
+        limit: What it must reach.
+        at_least: Whether more is better.
+        number_format: How figure and limit are written.
+        unit: Behind them.
+    """
+
+    key: str
+    meaning: str
+    limit: float
+    at_least: bool
+    number_format: str = ",.0f"
+    unit: str = ""
+
+    def met(self, figure: float) -> bool:
+        """Return whether a figure reaches it."""
+        return figure >= self.limit if self.at_least else figure <= self.limit
+
+    def written(self, figure: float) -> str:
+        """Return a figure as a table shows it."""
+        return f"{figure:{self.number_format}}{self.unit}"
+
+
+TARGETS = (
+    Target("udp_passages_per_s_per_core", "passages over UDP", 5_000, at_least=True),
+    Target("udp_signed_passages_per_s_per_core", "the same, signed both ways", 2_500, at_least=True),
+    Target("p99_ms_at_1000", "last frame to receipt at 1,000/s, 99 %", 25, at_least=False, unit=" ms"),
+    Target(
+        "recovery_s", "all in order again after a tenfold overload", 5, at_least=False, number_format=".2f", unit=" s"
+    ),
+    Target("http_frames_per_s_per_core", "passages over HTTP, frames", 2_000, at_least=True),
+    Target("http_json_per_s_per_core", "passages over HTTP, JSON", 1_200, at_least=True),
+    Target("reads_per_s_per_core", "reads, advisory and map in turn", 4_000, at_least=True),
+    *(
+        Target(
+            f"{way}_times_{peer.key}",
+            f"{name} against {peer.name}",
+            limit,
+            at_least=True,
+            number_format=".1f",
+            unit="×",
+        )
+        for way, name, limit in (("http", "HTTP", 4), ("udp", "UDP, another transport,", 10))
+        for peer in PEERS
+    ),
+    Target("rss_mb", "memory with 100,000 passages in the window", 150, at_least=False, unit=" MB"),
+    Target("ready_s", "start to ready", 2, at_least=False, number_format=".2f", unit=" s"),
+    Target("idle_cpu_frac", "processor time of the idle unit", 0.01, at_least=False, number_format=".2%"),
+    Target(
+        "window_cost_ratio", "cost of a passage, full against empty window", 1.1, at_least=False, number_format=".2f"
+    ),
+    Target("install_mb", "installed size", 250, at_least=False, unit=" MB"),
+)
+MISSES: Mapping[str, str] = {}
+"""Why a target was missed and what comes next, by its key: written by whoever looked into it, shown on the page."""
+IMPORT_MORE_S = 0.5
+"""Start to ready may also take as long as the imports and this."""
+
+
+def headline(parts: Figures) -> dict[str, float]:
+    """Return the figures that targets are held against, as far as their parts were measured.
+
+    Args:
+        parts: Figures by part; see `bench.appliance.load` and its neighbours.
+    """
+    figures: dict[str, float] = {}
+    for key, find in _FOUND.items():
+        try:
+            found = find(parts)
+        except KeyError:
+            continue
+        if found is not None:
+            figures[key] = found
+    compared = parts.get("peers", {})
+    for peer in PEERS:
+        theirs = compared.get("peers", {}).get(peer.key, {}).get("requests_per_s_per_core")
+        if theirs:
+            for key, ours in _OURS.items():
+                figures[f"{key}_times_{peer.key}"] = ours(compared["ours"]) / theirs
+    return figures
+
+
+def ready_limit_s(parts: Figures) -> float:
+    """Return how long a start may take: two seconds, or the imports and half a second."""
+    (target,) = (target for target in TARGETS if target.key == "ready_s")
+    return max(target.limit, float(parts["start"]["import_s"]) + IMPORT_MORE_S)
+
+
+_FOUND: Mapping[str, Callable[[Figures], float | None]] = {
+    "udp_passages_per_s_per_core": lambda p: p["udp"]["passages_per_s_per_core"],
+    "udp_signed_passages_per_s_per_core": lambda p: p["signed"]["passages_per_s_per_core"],
+    "udp_signed_new_certificate_per_s_per_core": lambda p: p["signed"]["certificate_never_seen"][
+        "passages_per_s_per_core"
+    ],
+    "p99_ms_at_1000": lambda p: p["udp"]["paced"]["latency_q99_ms"],
+    "recovery_s": lambda p: p["udp"]["overload"]["after"]["recovered_after_s"],
+    "http_frames_per_s_per_core": lambda p: p["http"]["frames"]["requests_per_s_per_core"],
+    "http_json_per_s_per_core": lambda p: p["http"]["json"]["requests_per_s_per_core"],
+    "reads_per_s_per_core": lambda p: p["http"]["reads"]["requests_per_s_per_core"],
+    "rss_mb": lambda p: p["window"]["rss_mb"],
+    "idle_cpu_frac": lambda p: p["window"]["idle_cpu_frac"],
+    "window_cost_ratio": lambda p: p["window"]["cost_last_to_first_quarter_ratio"],
+    "ready_s": lambda p: p["start"]["ready_s"],
+    "import_s": lambda p: p["start"]["import_s"],
+    "install_mb": lambda p: p["install"]["install_mb"],
+}
+_OURS: Mapping[str, Callable[[Figures], float]] = {
+    "http": lambda ours: ours["http_frames"]["requests_per_s_per_core"],
+    "http_json": lambda ours: ours["http_json"]["requests_per_s_per_core"],
+    "udp": lambda ours: ours["udp"]["passages_per_s_per_core"],
+}
