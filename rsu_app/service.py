@@ -12,14 +12,19 @@ import structlog
 
 from roadgrip.errors import RoadgripError, StoreError
 from rsu_app.adapters.http.app import create_app
+from rsu_app.adapters.http.connections import ConnectionLimits
 from rsu_app.adapters.http.control import control_socket, create_control_app
+from rsu_app.adapters.http.door import Door
 from rsu_app.adapters.http.server import HttpServer, listening_socket
 from rsu_app.adapters.udp.endpoint import FrameEndpoint, open_endpoint
-from rsu_app.bootstrap import Parts, build, load_sections, site_of_parts, software_version
+from rsu_app.bootstrap import Parts, build, load_sections, open_door, site_of_parts, software_version
+from rsu_app.heap import give_back_freed_memory
 from rsu_app.observability import Metrics, configure_logging
-from rsu_app.operation import control_desk
+from rsu_app.operation import control_desk, one_line
 from rsu_app.rollout_wiring import socket_path
 from rsu_app.settings import Settings
+from rsu_app.vital_signs import LOOK_PERIOD_S
+from rsu_app.watchdog import ServiceManager, tell, tell_how_it_is, this_manager
 
 _log = structlog.get_logger("roadgrip")
 
@@ -57,6 +62,7 @@ async def _run(settings: Settings) -> None:
         lines_limit_per_s=settings.log.lines_limit_per_s,
         on_drop=metrics.log_lines_dropped.inc,
     )
+    door = open_door(settings)
     listener = listening_socket(settings.http.host, settings.http.port)
     async with AsyncExitStack() as stack:
         stack.callback(listener.close)
@@ -73,27 +79,38 @@ async def _run(settings: Settings) -> None:
         if control is not None:
             stack.callback(socket_path(settings).unlink, missing_ok=True)
             stack.callback(control.close)
-        app = create_app(site_of_parts(parts, endpoint=endpoint))
+        manager = this_manager()
+        app = create_app(site_of_parts(parts, endpoint=endpoint, door=door))
         host, port = listener.getsockname()[:2]
 
         def say_serving() -> None:
             _log.info(
                 "serving",
                 version=software_version(),
-                http=f"http://{_address(host, port)}",
+                http=f"{door.url_scheme}://{_address(host, port)}",
                 udp=udp_address,
                 sections=list(parts.unit.section_ids),
                 restored_count=restored_count,
             )
+            tell(manager, "READY=1", f"STATUS={one_line(parts)}")
+
+        def say_stopping() -> None:
+            tell(manager, "STOPPING=1", "STATUS=stopping")
+            parts.streams.close()
 
         server = HttpServer(
             app,
-            connections_limit_count=settings.http.connections_limit_count,
+            limits=ConnectionLimits(
+                connections_count=settings.http.connections_limit_count,
+                per_source_count=settings.http.connections_per_source_count,
+            ),
             shutdown_s=settings.http.shutdown_s,
             on_start=say_serving,
-            on_stop=parts.streams.close,
+            on_stop=say_stopping,
+            on_refusal=metrics.http_refusals.count,
+            tls=None if door.tls is None else door.tls.context,
         )
-        await stack.enter_async_context(_chores(parts, endpoint, server))
+        await stack.enter_async_context(_chores(parts, endpoint, server, manager, door))
         if control is not None:
             await stack.enter_async_context(_control(parts, control))
         _stop_on_signals(server)
@@ -106,10 +123,12 @@ async def _run(settings: Settings) -> None:
 
 async def _restored(parts: Parts) -> int:
     try:
-        return await parts.unit.catch_up()
+        restored_count = await parts.unit.catch_up()
     except StoreError as error:
         _log.error("window_not_restored", error=str(error))
         return 0
+    give_back_freed_memory()
+    return restored_count
 
 
 async def _endpoint(parts: Parts) -> tuple[FrameEndpoint | None, str]:
@@ -127,7 +146,9 @@ async def _endpoint(parts: Parts) -> tuple[FrameEndpoint | None, str]:
     return endpoint, _address(host, port)
 
 
-def _chores_of(parts: Parts, endpoint: FrameEndpoint | None) -> list[Coroutine[None, None, None]]:
+def _chores_of(
+    parts: Parts, endpoint: FrameEndpoint | None, manager: ServiceManager, door: Door
+) -> list[Coroutine[None, None, None]]:
     """Return what repeats while the unit runs."""
 
     async def refresh() -> None:
@@ -136,6 +157,7 @@ def _chores_of(parts: Parts, endpoint: FrameEndpoint | None) -> list[Coroutine[N
     async def catch_up() -> None:
         restored_count = await parts.unit.catch_up()
         if restored_count:
+            give_back_freed_memory()
             _log.info("window_restored", restored_count=restored_count)
 
     async def prune() -> None:
@@ -143,13 +165,24 @@ def _chores_of(parts: Parts, endpoint: FrameEndpoint | None) -> list[Coroutine[N
         if deleted_count:
             _log.info("pruned", passages_count=deleted_count)
 
+    async def look() -> None:
+        parts.signs.look()
+        door.refresh()
+
+    async def give_sign_of_life() -> None:
+        if not tell_how_it_is(manager, parts.store.pulse, status=one_line(parts)):
+            _log.critical("writer_stuck", busy_s=parts.store.pulse.busy_s)
+
     chores = [
+        _repeat("vital_signs", look, period_s=LOOK_PERIOD_S),
         _repeat("refresh", refresh, period_s=REFRESH_PERIOD_S),
         _repeat("catch_up", catch_up, period_s=CATCH_UP_PERIOD_S),
         _repeat("prune", prune, period_s=parts.settings.database.prune_period_s),
         _repeat("rollout", parts.rollout.watch, period_s=WATCH_PERIOD_S),
         _repeat("drift", parts.unit.watch_drift, period_s=DRIFT_PERIOD_S),
     ]
+    if manager.address:
+        chores.append(_repeat("watchdog", give_sign_of_life, period_s=manager.period_s))
     if parts.settings.updates.source:
         chores.append(_repeat("updates", parts.rollout.look, period_s=parts.settings.updates.poll_period_s))
     udp = parts.settings.udp
@@ -159,7 +192,9 @@ def _chores_of(parts: Parts, endpoint: FrameEndpoint | None) -> list[Coroutine[N
 
 
 @asynccontextmanager
-async def _chores(parts: Parts, endpoint: FrameEndpoint | None, server: HttpServer) -> AsyncIterator[None]:
+async def _chores(
+    parts: Parts, endpoint: FrameEndpoint | None, server: HttpServer, manager: ServiceManager, door: Door
+) -> AsyncIterator[None]:
     """Do what repeats while the unit runs; a chore that dies of a bug takes the unit down, loudly."""
 
     def on_end(task: asyncio.Task[None]) -> None:
@@ -168,7 +203,7 @@ async def _chores(parts: Parts, endpoint: FrameEndpoint | None, server: HttpServ
             server.failed = True
             server.stop()
 
-    tasks = [asyncio.create_task(chore) for chore in _chores_of(parts, endpoint)]
+    tasks = [asyncio.create_task(chore) for chore in _chores_of(parts, endpoint, manager, door)]
     for task in tasks:
         task.add_done_callback(on_end)
     try:
@@ -197,7 +232,7 @@ async def _control(parts: Parts, listener: socket.socket) -> AsyncIterator[None]
     """Take orders of operators on this machine while the unit runs."""
     server = HttpServer(
         create_control_app(control_desk(parts)),
-        connections_limit_count=CONTROL_CONNECTIONS_COUNT,
+        limits=ConnectionLimits(connections_count=CONTROL_CONNECTIONS_COUNT),
         shutdown_s=parts.settings.http.shutdown_s,
         on_start=lambda: None,
         on_stop=lambda: None,

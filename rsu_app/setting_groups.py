@@ -11,7 +11,9 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
+from roadgrip.belief import REPLAY_WINDOW_S
 from roadgrip.units import WINDOW_S, kph_to_mps
+from rsu_app.signatures import SignatureMode
 
 Port = Annotated[int, Field(ge=0, le=65_535)]
 """A UDP or TCP port; 0 lets the machine choose, which tests use."""
@@ -27,11 +29,13 @@ Address = Annotated[str, AfterValidator(_address)]
 """A literal IPv4 or IPv6 address: a unit beside a road must not hang on a name server."""
 
 
-class _Group(BaseModel):
+class Group(BaseModel):
+    """Settings that belong together."""
+
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
-class DatabaseSettings(_Group):
+class DatabaseSettings(Group):
     """Where passages are kept, and for how long."""
 
     path: Path = Field(default=Path("roadgrip.sqlite3"), description="SQLite file; its folder is made if missing.")
@@ -50,7 +54,7 @@ class DatabaseSettings(_Group):
     prune_period_s: float = Field(default=600.0, ge=1.0, description="How often old passages are looked for.")
 
 
-class ExportSettings(_Group):
+class ExportSettings(Group):
     """Whether passages are kept for the laboratory, and how many."""
 
     enabled: bool = Field(
@@ -79,7 +83,7 @@ class ExportSettings(_Group):
         return self
 
 
-class SectionSettings(_Group):
+class SectionSettings(Group):
     """One section the unit serves."""
 
     file: str = Field(
@@ -94,7 +98,7 @@ class SectionSettings(_Group):
     )
 
 
-class ModelSettings(_Group):
+class ModelSettings(Group):
     """The model that turns a passage into friction."""
 
     bundle_path: Path | None = Field(
@@ -102,7 +106,7 @@ class ModelSettings(_Group):
     )
 
 
-class WindowSettings(_Group):
+class WindowSettings(Group):
     """How many vehicles make an interval, and how long it holds."""
 
     length_s: float = Field(default=WINDOW_S, ge=60.0, le=86_400.0, description="How long a passage counts.")
@@ -131,7 +135,7 @@ class WindowSettings(_Group):
         return self
 
 
-class ChangeDetectionSettings(_Group):
+class ChangeDetectionSettings(Group):
     """Whether friction that changes within the hour cuts the window, and what it takes. Amounts are of ln mu."""
 
     enabled: bool = Field(
@@ -178,7 +182,7 @@ class ChangeDetectionSettings(_Group):
         return self
 
 
-class AdvisorySettings(_Group):
+class AdvisorySettings(Group):
     """How careful the advice is."""
 
     winter_speed_mps: float = Field(
@@ -201,7 +205,7 @@ class AdvisorySettings(_Group):
     )
 
 
-class ProbingSettings(_Group):
+class ProbingSettings(Group):
     """What is asked before advice changes while too few vehicles name a friction."""
 
     evidence_count: int = Field(
@@ -239,37 +243,7 @@ class ProbingSettings(_Group):
     )
 
 
-class HttpSettings(_Group):
-    """HTTP: people, other machines, and vehicles over cellular."""
-
-    host: Address = Field(
-        default="127.0.0.1", description="Address to listen on; `0.0.0.0` opens the unit to its network."
-    )
-    port: Port = Field(default=8_080, description="TCP port.")
-    body_limit_bytes: int = Field(
-        default=65_536,
-        ge=4_096,
-        le=16_777_216,
-        description="Largest request body; larger ones get 413 without being read.",
-    )
-    connections_limit_count: int = Field(
-        default=512, ge=8, le=100_000, description="Connections at one time; more get 503."
-    )
-    stream_clients_limit_count: int = Field(
-        default=64, ge=1, le=10_000, description="Clients of the event stream at one time; more get 503."
-    )
-    stream_heartbeat_s: float = Field(
-        default=15.0,
-        gt=0.0,
-        le=300.0,
-        description="A silent event stream says so this often, so that a dead client is noticed.",
-    )
-    shutdown_s: int = Field(
-        default=5, ge=1, le=120, description="How long open requests may take to finish when the unit stops."
-    )
-
-
-class UdpSettings(_Group):
+class UdpSettings(Group):
     """UDP: frames as a V2X radio delivers them."""
 
     enabled: bool = Field(default=True, description="Whether the unit listens for frames over UDP.")
@@ -277,6 +251,16 @@ class UdpSettings(_Group):
         default="127.0.0.1", description="Address to listen on; `0.0.0.0` opens the unit to its network."
     )
     port: Port = Field(default=4_740, description="UDP port.")
+    cookies: bool = Field(
+        default=True,
+        description="Whether an arrival must show a cookie that was sent to its address before it is sent a map. "
+        "Off only where addresses cannot be forged, such as behind a radio.",
+    )
+    signatures: SignatureMode = Field(
+        default=SignatureMode.OFF,
+        description="Signatures of messages over UDP: `off` (taken off unread), `optional` (a signed one must "
+        "verify), `required`.",
+    )
     broadcast_host: Address = Field(
         default="",
         description="Address that beacons and detections are sent to (unicast, broadcast or multicast); empty: none.",
@@ -298,7 +282,7 @@ class UdpSettings(_Group):
     )
 
 
-class FrameSettings(_Group):
+class FrameSettings(Group):
     """Budgets of the exchange of frames; each bounds memory or work that a sender could cause."""
 
     exchange_limit_count: int = Field(
@@ -313,9 +297,20 @@ class FrameSettings(_Group):
         le=10_000.0,
         description="Most rejections sent per second over UDP; all are counted in the metrics.",
     )
+    frames_per_source_per_s: float = Field(
+        default=200.0,
+        ge=1.0,
+        le=1_000_000.0,
+        description="Frames a second that one address may send, and as many at once; more are refused as "
+        "`rate_limited`. This machine's own addresses are not counted.",
+    )
+    free_sources: tuple[Address, ...] = Field(
+        default=(),
+        description="Addresses that are not counted either: a radio, or a gateway that hands on what many send.",
+    )
 
 
-class IngestSettings(_Group):
+class IngestSettings(Group):
     """How much work the unit takes on."""
 
     in_flight_limit_count: int = Field(
@@ -324,32 +319,38 @@ class IngestSettings(_Group):
         le=100_000,
         description="Passages in work at one time, over UDP and HTTP; more are refused as `busy`.",
     )
+    passages_per_certificate_count: int = Field(
+        default=2,
+        ge=1,
+        le=10_000,
+        description="Passages of one section that one certificate may report in an hour; more are refused as "
+        "`rate_limited`.",
+    )
 
 
-class SigningSettings(_Group):
-    """COSE signatures on messages, in both directions."""
+class SigningSettings(Group):
+    """What the unit signs with and which authorities it believes; these files are read anew when they change."""
 
-    key_file: Path | None = Field(
+    credential_file: Path | None = Field(
         default=None,
-        description="Ed25519 private key (PEM) that signs what the unit sends; left out, nothing is signed.",
+        description="The unit's private key and its certificate (PEM), from `roadgrip-authority issue-unit`; left out, "
+        "nothing is signed.",
     )
-    trusted_keys_folder: Path | None = Field(
-        default=None,
-        description="Folder of Ed25519 public keys (`NAME.pem`); a signed message is checked against them.",
+    authorities_folder: Path | None = Field(
+        default=None, description="Folder of the public keys of authorities (`NAME.pem`) whose certificates count."
     )
-    required: bool = Field(
-        default=False, description="Whether passages without a good signature are refused as `unsigned`."
+    revocations_file: Path | None = Field(
+        default=None, description="Signed list of revoked certificates, from `roadgrip-authority publish`."
+    )
+    replay_window_s: float = Field(
+        default=REPLAY_WINDOW_S,
+        ge=10.0,
+        le=3_600.0,
+        description="How far from now a signed message of a vehicle may have been sent, either way.",
     )
 
-    @model_validator(mode="after")
-    def _trust_something(self) -> SigningSettings:
-        if self.required and self.trusted_keys_folder is None:
-            message = "required needs trusted_keys_folder, or no message could ever be accepted"
-            raise ValueError(message)
-        return self
 
-
-class UpdateSettings(_Group):
+class UpdateSettings(Group):
     """Where new bundles come from, and what they have to stand before vehicles are answered by them."""
 
     folder: Path | None = Field(
@@ -401,7 +402,7 @@ class UpdateSettings(_Group):
     )
 
 
-class ControlSettings(_Group):
+class ControlSettings(Group):
     """How an operator on the machine speaks to the running unit: `roadgrip-rsu status`, `update`, `rollback`."""
 
     socket_path: Path | None = Field(
@@ -411,7 +412,7 @@ class ControlSettings(_Group):
     )
 
 
-class ClockSettings(_Group):
+class ClockSettings(Group):
     """Time."""
 
     speedup_ratio: float = Field(
@@ -422,7 +423,7 @@ class ClockSettings(_Group):
     )
 
 
-class LogSettings(_Group):
+class LogSettings(Group):
     """Logs go to standard output."""
 
     level: Literal["debug", "info", "warning", "error"] = Field(

@@ -19,6 +19,7 @@ from pydantic import BaseModel, Field, ValidationError
 from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict
 
 from roadgrip.errors import ConfigurationError
+from rsu_app.http_settings import HttpSettings, OperatorSettings
 from rsu_app.setting_groups import (
     AdvisorySettings,
     ChangeDetectionSettings,
@@ -27,7 +28,6 @@ from rsu_app.setting_groups import (
     DatabaseSettings,
     ExportSettings,
     FrameSettings,
-    HttpSettings,
     IngestSettings,
     LogSettings,
     ModelSettings,
@@ -72,6 +72,7 @@ class Settings(BaseSettings):
     advisory: AdvisorySettings = AdvisorySettings()
     probing: ProbingSettings = ProbingSettings()
     http: HttpSettings = HttpSettings()
+    operators: OperatorSettings = OperatorSettings()
     udp: UdpSettings = UdpSettings()
     frames: FrameSettings = FrameSettings()
     ingest: IngestSettings = IngestSettings()
@@ -116,7 +117,7 @@ def load_settings(config_file: Path | None) -> Settings:
             content = tomllib.loads(config_file.read_text(encoding="utf-8"))
         except OSError as error:
             raise ConfigurationError(f"cannot read {config_file}: {error.strerror}") from error
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        except (ValueError, RecursionError) as error:  # no text, no TOML, a number of 5,000 digits, a thousand brackets
             raise ConfigurationError(f"{config_file} is not TOML: {error}") from error
         _anchor_paths(content, config_file.resolve().parent)
         _anchored_source(content, config_file.resolve().parent)
@@ -208,8 +209,13 @@ def _anchor_paths(content: dict[str, Any], folder: Path) -> None:
     for group, name in (
         ("database", "path"),
         ("model", "bundle_path"),
-        ("signing", "key_file"),
-        ("signing", "trusted_keys_folder"),
+        ("signing", "credential_file"),
+        ("signing", "authorities_folder"),
+        ("signing", "revocations_file"),
+        ("http", "tls_certificate_file"),
+        ("http", "tls_key_file"),
+        ("http", "client_authorities_file"),
+        ("operators", "tokens_file"),
         ("updates", "folder"),
         ("updates", "trusted_root"),
         ("control", "socket_path"),

@@ -197,8 +197,7 @@ def write_models(
 def _in_short_numbers(ordinary: OrdinaryDriving) -> OrdinaryDriving:
     """Return the same with whitening matrices of 32-bit numbers, as a manifest packs them."""
     matrices = np.asarray(ordinary.driving.whitening_ratio).astype(np.float32).astype(np.float64)
-    packed = tuple(tuple(tuple(row) for row in kind) for kind in matrices.tolist())
-    return replace(ordinary, driving=replace(ordinary.driving, whitening_ratio=packed))
+    return replace(ordinary, driving=replace(ordinary.driving, whitening_ratio=matrices))
 
 
 def _golden_rows(model: TableModel, *, rng: np.random.Generator) -> FloatArray:

@@ -20,6 +20,7 @@ from onnxmltools.convert.common.data_types import FloatTensorType
 from roadgrip.errors import BundleError
 from roadgrip.features import NEWEST_TABLE, FeatureTable
 from roadgrip.units import FloatArray
+from training.compact_trees import with_compact_trees
 from training.fit_parameters import Target
 from training.regressor import base_column_of, estimate_mu, target_of
 
@@ -36,7 +37,8 @@ def to_onnx(
     """Return trees as an ONNX model with one input (n, columns of the table) and one output (n, 1), both float32.
 
     Trees that add up to the logarithm get the exponential behind them, so that the model answers in friction (or,
-    for a model of the error, in shares of it).
+    for a model of the error, in shares of it). The trees are in their small form (`training.compact_trees`), which
+    onnxruntime runs from 1.21 on.
 
     Args:
         booster: The trees.
@@ -60,6 +62,7 @@ def to_onnx(
     if not any(entry.domain in {"", "ai.onnx"} for entry in model.opset_import):
         # The trees alone need the operators of machine learning only.
         model.opset_import.append(helper.make_opsetid("", OPSET))
+    model = with_compact_trees(model)
     onnx.checker.check_model(model)
     content: bytes = model.SerializeToString()
     return content

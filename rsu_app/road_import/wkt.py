@@ -7,7 +7,8 @@ import re
 from roadgrip.survey import POINTS_LIMIT_COUNT, SurveyLine, joined, refusal, survey_line
 
 _HEAD = re.compile(
-    r"\s*(?:SRID\s*=\s*(?P<srid>\d{1,6})\s*;)?\s*(?P<multi>MULTI)?LINESTRING\s*(?P<axes>ZM|Z|M)?\s*(?P<body>\(.*\))\s*;?\s*",
+    # No two runs of blanks meet: a long one would be shared out between them in every possible way.
+    r"(?:SRID\s*=\s*(?P<srid>\d{1,6})\s*;\s*)?(?P<multi>MULTI)?LINESTRING\s*(?:(?P<axes>ZM|Z|M)\s*)?(?P<body>\(.*\))",
     re.IGNORECASE | re.DOTALL | re.ASCII,
 )
 _NUMBER = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?"
@@ -25,7 +26,7 @@ def survey_of_wkt(text: str, *, crs: str | None = None) -> SurveyLine:
     Raises:
         SectionError: The text is no line, or no coordinate reference is known.
     """
-    match = _HEAD.fullmatch(text.strip())
+    match = _HEAD.fullmatch(text.strip().removesuffix(";").rstrip())
     if not match:
         raise refusal(f"not a LINESTRING or MULTILINESTRING in well-known text: {text.strip()[:40]!r}")
     if crs is None and match["srid"]:

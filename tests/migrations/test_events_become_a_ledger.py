@@ -13,6 +13,8 @@ from roadgrip.ledger import TEXT_LIMIT_CHARS, Action, chain_problems, hash_of
 from rsu_app.adapters.store import open_store
 from tests.migrations.test_rows_survive import migrated
 
+pytestmark = pytest.mark.usefixtures("migrations_run_here")
+
 EVENTS = [
     (17, 1_767_268_800.123456, "model_live", "dd1ff2271c966bec", "roadgrip-global"),
     (18, 1_767_268_801.0, "model_live", "", 'no model is loaded: a "file"\nis missing \\ täglich ☃'),

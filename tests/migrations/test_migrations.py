@@ -1,7 +1,9 @@
 from __future__ import annotations
 
+import json
 import re
 import sqlite3
+import sys
 from contextlib import closing
 from pathlib import Path
 
@@ -14,6 +16,7 @@ from alembic.script import ScriptDirectory
 from roadgrip.errors import StoreError
 from rsu_app.adapters.store import check, open_store, upgrade
 from rsu_app.adapters.store.connection import writing_engine
+from rsu_app.adapters.store.migrating import main, migrate
 from rsu_app.adapters.store.migration import alembic_config, migrations_folder
 from rsu_app.adapters.store.schema import METADATA, REVISION
 
@@ -45,7 +48,7 @@ def test_the_software_expects_the_newest_revision():
 
 
 def test_migrations_make_the_tables_the_software_describes(path):
-    upgrade(path)
+    assert migrate(path).up_to_date
     engine = writing_engine(path)
     with engine.connect() as connection:
         assert compare_metadata(MigrationContext.configure(connection), METADATA) == []
@@ -56,6 +59,57 @@ def test_migrations_make_the_tables_the_software_describes(path):
         METADATA.create_all(connection)
     engine.dispose()
     assert schema_of(path) == schema_of(described)
+
+
+def everything_in(path):
+    with closing(sqlite3.connect(path)) as connection:
+        made = connection.execute("SELECT type, name, tbl_name, sql FROM sqlite_schema ORDER BY name").fetchall()
+        version = connection.execute("SELECT version_num FROM alembic_version").fetchall()
+        (vacuum,) = connection.execute("PRAGMA auto_vacuum").fetchone()
+    return [(*row[:3], re.sub(r"\s+", " ", row[3] or "").strip()) for row in made], version, vacuum
+
+
+def test_a_new_database_is_made_as_all_migrations_make_it(path):
+    migrated = path.with_name("migrated.db")
+    migrate(migrated)
+    upgrade(path)
+    assert everything_in(path) == everything_in(migrated)
+
+
+def test_a_database_of_older_software_is_migrated_by_a_process_that_ends(path):
+    run(path, command.upgrade, "0001")
+    assert upgrade(path).up_to_date
+    migrated = path.with_name("migrated.db")
+    migrate(migrated)
+    assert schema_of(path) == schema_of(migrated)
+
+
+def test_a_failed_migration_is_told_in_the_words_of_the_process_that_tried(path, capsys):
+    run(path, command.upgrade, "0001")
+    with closing(sqlite3.connect(path)) as connection, connection:
+        connection.execute("CREATE TABLE ledger (somebody_elses TEXT)")
+    assert main(path) == 1
+    told = json.loads(capsys.readouterr().out)
+    with pytest.raises(StoreError) as raised:
+        upgrade(path)
+    assert type(raised.value).__name__ == told["kind"]
+    assert str(raised.value) == told["problem"]
+    assert "table ledger already exists" in told["problem"]
+    assert check(path).current == "0001"
+
+
+def test_a_process_that_cannot_even_begin_is_told(path, monkeypatch):
+    run(path, command.upgrade, "0001")
+    monkeypatch.setattr(sys, "executable", str(path.with_name("no-python")))
+    with pytest.raises(StoreError, match="No such file"):
+        upgrade(path)
+
+
+def test_a_process_that_dies_without_a_word_is_told(path, monkeypatch):
+    run(path, command.upgrade, "0001")
+    monkeypatch.setattr(sys, "executable", "/bin/false")
+    with pytest.raises(StoreError, match="exit code 1"):
+        upgrade(path)
 
 
 def test_every_table_is_strict(path):

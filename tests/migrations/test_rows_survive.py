@@ -6,6 +6,7 @@ import asyncio
 import sqlite3
 from contextlib import closing
 
+import pytest
 from alembic import command
 
 from roadgrip.records import NotCounted
@@ -13,6 +14,8 @@ from rsu_app.adapters.store import open_store
 from rsu_app.adapters.store.connection import writing_engine
 from rsu_app.adapters.store.migration import alembic_config
 from rsu_app.ports import StoredEstimate
+
+pytestmark = pytest.mark.usefixtures("migrations_run_here")
 
 OLD = {
     "sequence_number": 7,

@@ -8,17 +8,19 @@ from pathlib import Path
 import httpx
 import numpy as np
 import pytest
-from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
-from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat, PublicFormat
+from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 
+from bench.certified import AUTHORITIES, AUTHORITY_KEY, OTHER_AUTHORITY_KEY, UNIT, signer_of
+from roadgrip.certificates import RevocationList, Role, issue_revocations
 from roadgrip.errors import ConfigurationError, StoreError
 from roadgrip.features import NEWEST_TABLE
 from roadgrip.ledger import Action
 from roadgrip.records import Advisory, AdvisoryReason, FrictionInterval
 from roadgrip.section import GnssAnchor, build_section
+from roadgrip.trust import credential_to_pem
 from rsu_app.adapters.http.app import create_app
 from rsu_app.adapters.store import standby
-from rsu_app.bootstrap import Parts, build, check_maps, load_keys, load_sections, observe, site_of_parts
+from rsu_app.bootstrap import Parts, build, check_maps, load_sections, load_trust, observe, open_door, site_of_parts
 from rsu_app.domain.advisory import AdvisoryPolicy
 from rsu_app.domain.change import ChangePolicy
 from rsu_app.domain.interval import IntervalPolicy
@@ -51,7 +53,7 @@ def parts_of(folder: Path, more: str = "", *, size_limit_bytes: int | None = Non
 
 
 async def posted(parts: Parts, count: int) -> list[httpx.Response]:
-    app = create_app(site_of_parts(parts, endpoint=None))
+    app = create_app(site_of_parts(parts, endpoint=None, door=open_door(parts.settings)))
     (section, *_) = load_sections(parts.settings)
     async with httpx.AsyncClient(transport=httpx.ASGITransport(app=app), base_url="http://unit") as client:
         return [
@@ -88,7 +90,7 @@ def test_what_nobody_exports_is_not_kept_for_long(folder, more, deleted_count):
     async def scenario() -> None:
         parts = parts_of(folder, more)
         for seed, days in enumerate((1.0, 30.0, 100.0)):
-            await parts.store.append(make_entry(seed, received_unix_s=time.time() - 86_400.0 * days))
+            await parts.store.append([make_entry(seed, received_unix_s=time.time() - 86_400.0 * days)])
         assert await parts.unit.prune() == deleted_count
         await parts.unit.close()
 
@@ -99,7 +101,7 @@ def test_what_nobody_exports_is_not_kept_for_long(folder, more, deleted_count):
 def test_what_is_kept_for_exports_stays_below_its_size(folder, more, deleted_count):
     async def scenario() -> None:
         parts = parts_of(folder, more, size_limit_bytes=1)
-        await parts.store.append(make_entry(1, received_unix_s=time.time()))
+        await parts.store.append([make_entry(1, received_unix_s=time.time())])
         assert await parts.unit.prune() == deleted_count
         await parts.unit.close()
 
@@ -108,7 +110,7 @@ def test_what_is_kept_for_exports_stays_below_its_size(folder, more, deleted_cou
 
 def test_a_unit_that_runs_ahead_of_the_world_keeps_its_window_through_a_restart(folder):
     async def scenario() -> None:
-        ahead = "[clock]\nspeedup_ratio = 10000.0\n"
+        ahead = "[clock]\nspeedup_ratio = 500.0\n"
         first = parts_of(folder, ahead)
         await asyncio.sleep(0.05)
         assert {answer.status_code for answer in await posted(first, 12)} == {200}
@@ -293,26 +295,81 @@ def test_a_map_that_does_not_fit_the_air_is_refused_at_the_start():
         check_maps((section,), signer=None)
 
 
-def test_keys_are_read_from_their_files(folder):
-    key = Ed25519PrivateKey.generate()
-    (folder / "unit.pem").write_bytes(key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()))
-    (folder / "trusted").mkdir()
-    public = key.public_key().public_bytes(Encoding.PEM, PublicFormat.SubjectPublicKeyInfo)
-    (folder / "trusted" / "fleet.pem").write_bytes(public)
-    config = folder / "keys.toml"
-    config.write_text(
-        '[signing]\nkey_file = "unit.pem"\ntrusted_keys_folder = "trusted"\nrequired = true\n', encoding="utf-8"
-    )
-    signer, verifier = load_keys(load_settings(config))
-    assert signer is not None
-    assert verifier is not None
-    assert set(verifier.public_keys) == {signer.key_id}
-    assert verifier.required
+SIGNING = """
+[signing]
+credential_file = "unit.pem"
+authorities_folder = "authorities"
+revocations_file = "revoked.cose"
+
+[udp]
+signatures = "required"
+"""
 
 
-def test_a_folder_without_keys_cannot_be_required(folder):
-    (folder / "trusted").mkdir()
+def public_pem_of(key) -> bytes:
+    return key.public_key().public_bytes(Encoding.PEM, PublicFormat.SubjectPublicKeyInfo)
+
+
+def write_revocations(folder, *, issued_unix_s: int, ids: frozenset[bytes] = frozenset()) -> None:
+    revoked = RevocationList(issued_unix_s, 2**40, ids)
+    (folder / "revoked.cose").write_bytes(issue_revocations(revoked, authority=AUTHORITY_KEY))
+
+
+@pytest.fixture
+def signing_settings(folder):
+    (folder / "unit.pem").write_bytes(credential_to_pem(UNIT))
+    (folder / "authorities").mkdir()
+    (folder / "authorities" / "of-the-road.pem").write_bytes(public_pem_of(AUTHORITY_KEY))
+    write_revocations(folder, issued_unix_s=1000, ids=frozenset({b"stolen!!"}))
     config = folder / "keys.toml"
-    config.write_text('[signing]\ntrusted_keys_folder = "trusted"\nrequired = true\n', encoding="utf-8")
-    with pytest.raises(ConfigurationError, match="no public key"):
-        load_keys(load_settings(config))
+    config.write_text(SIGNING, encoding="utf-8")
+    return load_settings(config)
+
+
+def test_trust_is_read_from_its_files(signing_settings):
+    trust = load_trust(signing_settings)
+    assert trust.signer is not None
+    assert trust.signer.certificate == UNIT.certificate
+    assert trust.verifier is not None
+    assert trust.verifier.authorities.keys() == AUTHORITIES.keys()
+    assert trust.revocations is not None
+    assert trust.revocations.certificate_ids == {b"stolen!!"}
+
+
+def test_trust_stays_the_same_while_no_file_changes(signing_settings):
+    trust = load_trust(signing_settings)
+    assert load_trust(signing_settings, previous=trust) is trust
+
+
+def test_a_rotation_needs_no_restart(signing_settings, folder):
+    before = load_trust(signing_settings)
+    (folder / "authorities" / "next.pem").write_bytes(public_pem_of(OTHER_AUTHORITY_KEY))
+    renewed = signer_of(Role.UNIT, certificate_id=b"renewed.", authority=OTHER_AUTHORITY_KEY)
+    (folder / "unit.pem").write_bytes(credential_to_pem(renewed))
+    after = load_trust(signing_settings, previous=before)
+    assert after.signer is not None
+    assert after.signer.certificate == renewed.certificate
+    assert after.verifier is not None
+    assert len(after.verifier.authorities) == 2
+
+
+def test_a_list_issued_earlier_never_replaces_a_later_one(signing_settings, folder):
+    before = load_trust(signing_settings)
+    write_revocations(folder, issued_unix_s=999)
+    after = load_trust(signing_settings, previous=before)
+    assert after.revocations == before.revocations
+    assert after.older_list_ignored
+    write_revocations(folder, issued_unix_s=1001)
+    assert load_trust(signing_settings, previous=after).revocations == RevocationList(1001, 2**40, frozenset())
+
+
+def test_a_file_of_something_else_is_named(signing_settings, folder):
+    (folder / "authorities" / "damaged.pem").write_bytes(b"not a key")
+    with pytest.raises(ConfigurationError, match=r"damaged\.pem: not a public key"):
+        load_trust(signing_settings)
+
+
+def test_signatures_cannot_be_asked_for_where_no_authority_is_trusted(signing_settings, folder):
+    (folder / "authorities" / "of-the-road.pem").unlink()
+    with pytest.raises(ConfigurationError, match=r"udp\.signatures needs"):
+        load_trust(signing_settings)

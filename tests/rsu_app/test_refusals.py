@@ -6,15 +6,17 @@ import zlib
 from dataclasses import replace
 
 import pytest
-from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
+from bench.certified import AUTHORITIES, OTHER_AUTHORITY_KEY, UNIT, VEHICLE, VERIFIER, signer_of
+from roadgrip.certificates import RevocationList, Role
 from roadgrip.frames import exchange_id_of, section_key_of, split_into_frames
 from roadgrip.protocol import FRAME_LIMIT_BYTES, Kind
 from roadgrip.reasons import Reason
 from roadgrip.records import Accepted, Passage, Receipt, Rejected
 from roadgrip.signing import Signer, Verifier
 from roadgrip.wire import encode_message
-from tests.rsu_app.fakes import make_passage, make_section
+from rsu_app.signatures import SignatureMode
+from tests.rsu_app.fakes import NOON_UNIX_S, make_passage, make_section
 from tests.rsu_app.sites import (
     UnitUnderTest,
     frame_of_passage,
@@ -27,11 +29,6 @@ from tests.rsu_app.sites import (
 
 SECTION = make_section()
 NAN, INF = float("nan"), float("inf")
-
-
-def keyed(seed: int) -> tuple[Signer, Verifier]:
-    key = Ed25519PrivateKey.from_private_bytes(bytes([seed]) * 32)
-    return Signer(b"fleet", key), Verifier({b"fleet": key.public_key()}, required=True)
 
 
 def changed(passage: Passage, **changes) -> Passage:
@@ -200,30 +197,62 @@ def test_another_passage_under_a_used_id_is_refused_as_json():
 
 
 def test_an_unsigned_frame_is_refused_where_signatures_are_required():
-    signer, verifier = keyed(1)
-    under_test = make_unit(section=SECTION, verifier=verifier)
+    under_test = make_unit(section=SECTION, verifier=VERIFIER)
     assert refusal_of(frame_of_passage(P), under_test) is Reason.UNSIGNED
-    (receipt,) = asyncio.run(radio(under_test, frame_of_passage(P, signer=signer)))
+    (receipt,) = asyncio.run(radio(under_test, frame_of_passage(P, signer=VEHICLE)))
     assert receipt == Receipt(P.passage_id, Accepted())
 
 
 def test_json_is_refused_where_signatures_are_required():
-    under_test = make_unit(section=SECTION, verifier=keyed(1)[1])
+    under_test = make_unit(section=SECTION, verifier=VERIFIER)
     answer = posted(under_test, json_text(passage_json(P)))
     assert (answer.status_code, answer.json()["reason"]) == (403, "unsigned")
     assert under_test.store.entries == []
 
 
-def test_a_bad_signature_is_refused():
-    forger, _ = keyed(2)
-    under_test = make_unit(section=SECTION, verifier=keyed(1)[1])
-    assert refusal_of(frame_of_passage(P, signer=forger), under_test) is Reason.BAD_SIGNATURE
+BEFORE = {"valid_from_unix_s": 0, "valid_until_unix_s": int(NOON_UNIX_S) - 1}
 
 
-def test_an_unknown_key_is_refused():
-    stranger = Signer(b"stranger", Ed25519PrivateKey.generate())
-    under_test = make_unit(section=SECTION, verifier=keyed(1)[1])
-    assert refusal_of(frame_of_passage(P, signer=stranger), under_test) is Reason.UNKNOWN_KEY
+@pytest.mark.parametrize(
+    ("signer", "reason"),
+    [
+        (Signer(VEHICLE.certificate, OTHER_AUTHORITY_KEY), Reason.BAD_SIGNATURE),
+        (signer_of(Role.VEHICLE, authority=OTHER_AUTHORITY_KEY), Reason.UNKNOWN_KEY),
+        (signer_of(Role.VEHICLE, **BEFORE), Reason.CERTIFICATE_EXPIRED),
+        (signer_of(Role.VEHICLE, certificate_id=b"stolen!!"), Reason.CERTIFICATE_REVOKED),
+        (UNIT, Reason.NOT_PERMITTED),
+    ],
+    ids=lambda value: value.value if isinstance(value, Reason) else "",
+)
+@pytest.mark.parametrize("mode", [SignatureMode.OPTIONAL, SignatureMode.REQUIRED])
+def test_a_fake_car_is_refused_with_its_reason(signer, reason, mode):
+    revoked = RevocationList(0, 2**40, frozenset({b"stolen!!"}))
+    under_test = make_unit(section=SECTION, verifier=Verifier(AUTHORITIES, revocations=revoked), mode=mode)
+    assert refusal_of(frame_of_passage(P, signer=signer), under_test) is reason
+    assert under_test.count("roadgrip_frames_dropped_total", via="udp", reason=reason.value) == 1
+    assert under_test.store.entries == []
+
+
+@pytest.mark.parametrize("later_s", [-301.0, 301.0])
+def test_a_recorded_passage_that_is_played_again_is_refused(later_s):
+    under_test = make_unit(section=SECTION, verifier=VERIFIER)
+    under_test.clock.now_unix_s += later_s
+    assert refusal_of(frame_of_passage(P, signer=VEHICLE), under_test) is Reason.OUTSIDE_REPLAY_WINDOW
+
+
+def test_a_unit_without_a_clock_judges_signatures_and_no_dates():
+    under_test = make_unit(section=SECTION, verifier=VERIFIER)
+    under_test.clock.now_unix_s = 1000.0
+    (receipt,) = asyncio.run(radio(under_test, frame_of_passage(P, signer=signer_of(Role.VEHICLE, **BEFORE))))
+    assert receipt == Receipt(P.passage_id, Accepted())
+    assert refusal_of(frame_of_passage(P, signer=UNIT), under_test) is Reason.NOT_PERMITTED
+
+
+def test_signatures_that_are_not_asked_for_are_taken_off_unread():
+    under_test = make_unit(section=SECTION, verifier=VERIFIER, mode=SignatureMode.OFF)
+    stranger = signer_of(Role.VEHICLE, authority=OTHER_AUTHORITY_KEY)
+    (receipt,) = asyncio.run(radio(under_test, frame_of_passage(P, signer=stranger)))
+    assert receipt == Receipt(P.passage_id, Accepted())
 
 
 def test_a_unit_without_a_model_says_so_through_both_doors():

@@ -12,7 +12,7 @@ import time
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, BinaryIO, Protocol, Self
 
 import httpx
 from prometheus_client.parser import text_string_to_metric_families
@@ -33,6 +33,20 @@ class Stored:
     received_unix_s: float
     left_unix_s: float
     flags: int
+
+
+class Process(Protocol):
+    """A process that was started here, as `subprocess` shows it."""
+
+    pid: int
+
+    def poll(self) -> int | None: ...
+
+    def wait(self, timeout: float | None = None) -> int: ...
+
+    def kill(self) -> None: ...
+
+    def send_signal(self, sig: int, /) -> None: ...
 
 
 class Daemon:
@@ -58,11 +72,7 @@ class Daemon:
 
     def __enter__(self) -> Self:
         self._sink = self.log.open("wb")
-        self.process = subprocess.Popen(
-            [sys.executable, "-W", "error", "-m", "rsu_app", "serve", "--config", str(self.config)],
-            stdout=self._sink,
-            stderr=subprocess.STDOUT,
-        )
+        self.process = self.begin(self._sink)
         serving = self._wait_for("serving")
         self.url = serving["http"]
         self.udp_port = int(re.sub(r".*:", "", serving["udp"]))
@@ -77,6 +87,11 @@ class Daemon:
             self.process.kill()
         self.process.wait()
         self._sink.close()
+
+    def begin(self, sink: BinaryIO) -> Process:
+        """Return the process, just started, that writes its log into a file."""
+        command = [sys.executable, "-W", "error", "-m", "rsu_app", "serve", "--config", str(self.config)]
+        return subprocess.Popen(command, stdout=sink, stderr=subprocess.STDOUT)
 
     def kill(self) -> None:
         """End it as a power cut does."""

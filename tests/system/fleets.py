@@ -14,10 +14,10 @@ from roadgrip.section import RoadSection
 from tests.rsu_app.fakes import make_passage
 from tests.vehicle_client.shell.cars import Summarised, a_drive
 from vehicle_client.estimation.trace import Trace
-from vehicle_client.shell.exchange import Patience
 from vehicle_client.shell.fleet import FleetPlan, FleetTools, run_fleet
 from vehicle_client.shell.fleet_events import FleetEvent, FleetReport, PassageEnded
 from vehicle_client.shell.keys import Keys
+from vehicle_client.shell.patience import Patience
 from vehicle_client.shell.uplink import AirFaults, parse_unit_address, uplinks_to
 from vehicle_client.simulator.drive import Drive
 from vehicle_client.simulator.plan import PassagePlan

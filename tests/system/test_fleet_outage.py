@@ -21,8 +21,9 @@ from tests.rsu_app.sites import passage_json
 from tests.system.daemons import Daemon
 from tests.system.ether import Ether, air_to
 from tests.system.fleets import Fleet
-from vehicle_client.shell.exchange import Ending, Patience
+from vehicle_client.shell.exchange import Ending
 from vehicle_client.shell.fleet_events import FleetEvent, FleetReport, PassageEnded, VehicleEntered
+from vehicle_client.shell.patience import Patience
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(180)]
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import onnx
 import pytest
 
 from roadgrip.bundle import BundleManifest, Conformal
@@ -149,3 +150,24 @@ def test_rows_that_no_unit_would_ask_about_prove_nothing(tmp_path: Path) -> None
         written([replace(model, unseen_rows=impossible)], tmp_path)
     some = np.vstack([impossible, model.unseen_rows[:3]])
     assert len(written([replace(model, unseen_rows=some)], tmp_path).models[0].golden.rows) == 3
+
+
+def operators_in(path: Path) -> set[str]:
+    return {node.op_type for node in onnx.load(path).graph.node}
+
+
+def test_a_unit_still_loads_a_bundle_whose_trees_are_in_their_former_form(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    model = model_of(RUNS, MENDING)
+    compact = written([model], tmp_path / "compact")
+    monkeypatch.setattr("training.export.with_compact_trees", lambda model: model)
+    former = written([model], tmp_path / "former")
+    assert "TreeEnsembleRegressor" in operators_in(tmp_path / "former" / former.models[0].model_file)
+    assert "TreeEnsembleRegressor" not in operators_in(tmp_path / "compact" / compact.models[0].model_file)
+    inside = RUNS.features.astype(np.float32).astype(np.float64)
+    answers, same = (load_bundle(tmp_path / name).estimate(RUNS.table.digest, inside) for name in ("former", "compact"))
+    assert np.array_equal(answers.mu, same.mu)
+    assert answers.expected_error_ratio is not None
+    assert same.expected_error_ratio is not None
+    assert np.array_equal(answers.expected_error_ratio, same.expected_error_ratio)

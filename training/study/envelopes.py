@@ -202,7 +202,7 @@ def _mixture(values: FloatArray, columns: tuple[str, ...], *, seed: int) -> Driv
         cut_ratio=SCALED_CUT_RATIO,
         share_frac=tuple(share.tolist()),
         middle_ratio=tuple(_spelled(row) for row in middle),
-        whitening_ratio=tuple(tuple(_spelled(row) for row in kind) for kind in whitening),
+        whitening_ratio=[[_spelled(row) for row in kind] for kind in whitening],
         limit_level=np.inf,
     )
 

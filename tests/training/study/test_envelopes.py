@@ -124,7 +124,7 @@ def test_an_envelope_of_either_table_goes_through_a_manifest():
         rows = rng.normal(0.0, 1.0, (400, len(names)))
         drives = Ordinary(rows[:200], rows[200:], tuple(f"road-{i % 20}" for i in range(200)), names)
         envelope = learn_driving_envelope(drives, seed=1)
-        assert DrivingEnvelope(**json.loads(json.dumps(asdict(envelope)))) is not None
+        assert DrivingEnvelope(**json.loads(json.dumps(asdict(envelope), default=np.ndarray.tolist))) is not None
 
 
 def test_known_roads_are_never_strange():
