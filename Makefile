@@ -26,7 +26,7 @@ PLACES := roadgrip rsu_app vehicle_client training migrations tests bench deploy
 CODE := $(foreach place,$(PLACES),$(if $(shell find $(place) -name '*.py' -print -quit 2>/dev/null),$(place)))
 
 .PHONY: help setup demo mlops-demo real-input test test-long test-fast coverage check format-check format lint types contracts bench lock \
-        simulator-validation simulator-speed onboard-speed onboard-accuracy live-soak faults appliance-bench liars fuzz audit \
+        simulator-validation simulator-speed onboard-speed onboard-accuracy live-soak faults appliance-bench appliance-soak liars fuzz audit \
         bundle paper-design study study-quick wheel deb deb-bill deb-test container-lint hooks clean
 
 help: ## List the chores
@@ -138,6 +138,9 @@ audit: $(STAMP) ## Look through locks, licences and known vulnerabilities; witho
 	@test -x build/audit-venv/bin/pip-audit || { $(BIN)/python -m venv --without-pip build/audit-venv && \
 	  $(BIN)/python -m pip --python build/audit-venv/bin/python install --quiet --only-binary :all: 'pip-audit>=2.7'; } || true
 	@$(BIN)/python -m deploy.audit --pip-audit build/audit-venv/bin/pip-audit $(ARGS)
+
+appliance-soak: $(STAMP) ## Run the unit for a week in ten minutes; docs/results/soak.json and the picture
+	@$(BIN)/python -m bench.appliance_soak $(ARGS)
 
 appliance-bench: $(STAMP) ## Measure the road side unit beside others with the same model; docs/results/bench.md (ARGS="udp http", --quick)
 	@$(BIN)/python -m bench.appliance $(ARGS)

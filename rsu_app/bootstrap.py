@@ -69,6 +69,7 @@ class Parts:
     unit: RoadSideUnit
     store: PassageStore
     gateway: FrameGateway
+    signatures: Signatures
     intake: PassageIntake
     rollout: Rollout
     streams: StreamDesk
@@ -132,6 +133,13 @@ def build(settings: Settings, *, metrics: Metrics, sections: tuple[RoadSection, 
         in_flight_limit_count=settings.ingest.in_flight_limit_count,
         lines_per_s=PASSAGE_LINES_FRAC * settings.log.lines_limit_per_s,
     )
+    signatures = Signatures(
+        trust,
+        modes={"udp": settings.udp.signatures, "http": settings.http.signatures},
+        # What is signed is told by the machine's own clock, also when the unit's runs faster.
+        unix_s=lambda: int(time.time()) if unit.clock_plausible else None,
+        replay_window_s=settings.signing.replay_window_s,
+    )
     gateway = FrameGateway(
         unit=unit,
         intake=intake,
@@ -142,13 +150,7 @@ def build(settings: Settings, *, metrics: Metrics, sections: tuple[RoadSection, 
         now_s=time.monotonic,  # budgets guard this machine, so they go by its own time also when the unit's runs faster
         random_bytes=secrets.token_bytes,
         refusals_per_s=settings.frames.refusals_per_s,
-        signatures=Signatures(
-            trust,
-            modes={"udp": settings.udp.signatures, "http": settings.http.signatures},
-            # What is signed is told by the machine's own clock, also when the unit's runs faster.
-            unix_s=lambda: int(time.time()) if unit.clock_plausible else None,
-            replay_window_s=settings.signing.replay_window_s,
-        ),
+        signatures=signatures,
         guards=SenderGuards(
             cookies=Cookies(secrets.token_bytes(32)) if settings.udp.cookies else None,
             frames_per_s=settings.frames.frames_per_source_per_s,
@@ -161,6 +163,7 @@ def build(settings: Settings, *, metrics: Metrics, sections: tuple[RoadSection, 
         unit=unit,
         store=store,
         gateway=gateway,
+        signatures=signatures,
         intake=intake,
         rollout=rollout,
         streams=StreamDesk(metrics),
@@ -168,6 +171,26 @@ def build(settings: Settings, *, metrics: Metrics, sections: tuple[RoadSection, 
         clock=clock,
         signs=VitalSigns(clock, metrics),
     )
+
+
+def renew_trust(parts: Parts) -> None:
+    """Go by the credential, the authorities and the list of revoked certificates as their files are now.
+
+    Files that cannot be used change nothing: a unit with last week's list is better than one without any.
+    """
+    signatures = parts.signatures
+    try:
+        trust = load_trust(parts.settings, previous=signatures.trust)
+    except ConfigurationError as error:
+        _log.error("trust_not_renewed", error=str(error))
+        return
+    if trust is signatures.trust:
+        return
+    signatures.trust = trust
+    _log.info("trust_renewed")
+    if parts.unit.clock_plausible:
+        for warning in trust_warnings(trust, now_unix_s=time.time(), section_ids=parts.unit.section_ids):
+            _log.warning("trust", warning=warning)
 
 
 def open_door(settings: Settings) -> Door:

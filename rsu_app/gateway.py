@@ -44,7 +44,7 @@ from roadgrip.records import (
     Receipt,
     Rejected,
 )
-from roadgrip.wire import encode_message, kind_of
+from roadgrip.wire import decode_message, encode_message, kind_of
 from rsu_app.intake import PassageIntake
 from rsu_app.observability import Metrics
 from rsu_app.rate import RateLimit
@@ -172,17 +172,20 @@ class FrameGateway:
             # Another unit, or our own broadcast that came back: not for us, and nobody to answer.
             self._metrics.frames_dropped.count(via, "not_for_units")
             return NOTHING
+        limit_bytes = _limit_bytes(datagram, sender)
         try:
+            if not self.is_allowed(sender):
+                raise WireError(Reason.RATE_LIMITED, "more frames a second than one address may send")  # noqa: TRY301
+            if frame.kind is Kind.ARRIVAL and not sender.proven:
+                # Before any signature is looked at: who forges addresses must not cost more than a digest.
+                asked_back = self._asked_back(frame, sender, now_s=now_s)
+                if asked_back:
+                    return Taken(asked_back)
+                limit_bytes = None
             return self._read(frame, via=via, sender=sender, now_s=now_s)
         except WireError as error:
-            # Whoever has shown a cookie is sent no more than it sent, either: few words are enough for a refusal.
             return self._refused(
-                error,
-                frame.exchange_id,
-                frame.section_key,
-                via=via,
-                now_s=now_s,
-                limit_bytes=_limit_bytes(datagram, sender),
+                error, frame.exchange_id, frame.section_key, via=via, now_s=now_s, limit_bytes=limit_bytes
             )
 
     async def settle(self, passage: Passage, *, via: str) -> tuple[OutFrames, ...]:
@@ -247,8 +250,6 @@ class FrameGateway:
         self._metrics.exchanges_evicted.set(self._ledger.counters.evicted_count)
 
     def _read(self, frame: Frame, *, via: str, sender: Sender, now_s: float) -> Taken:
-        if not self.is_allowed(sender):
-            raise WireError(Reason.RATE_LIMITED, "more frames a second than one address may send")
         if frame.kind is Kind.SUMMARY and self._intake.full:
             # Before it is read or counted: under a flood, refusing must cost a fraction of accepting.
             raise WireError(Reason.BUSY, "as many passages are in work as this unit takes")
@@ -266,7 +267,7 @@ class FrameGateway:
         self._metrics.messages_received.count(via, _NAMES[frame.kind])
         match message:
             case Arrival():
-                return Taken(self._asked_back(message, sender, now_s=now_s) or self._welcome(message, now_s=now_s))
+                return Taken(self._welcome(message, now_s=now_s))
             case Passage():
                 if signed is not None and not self._guards.passage_allowed(
                     message, certificate_id=signed.certificate.certificate_id, now_s=now_s
@@ -276,19 +277,26 @@ class FrameGateway:
             case _:  # `message_of` has refused the rest
                 return NOTHING
 
-    def _asked_back(self, arrival: Arrival, sender: Sender, *, now_s: float) -> tuple[OutFrames, ...]:
-        """Return the cookie that an arrival must be repeated with, nothing if it need not."""
-        exchange_id = exchange_id_of(arrival.passage_id)
+    def _asked_back(self, frame: Frame, sender: Sender, *, now_s: float) -> tuple[OutFrames, ...]:
+        """Return the cookie that an arrival must be repeated with, nothing if it need not.
+
+        Raises:
+            WireError: It is no arrival.
+        """
+        arrival = decode_message(Kind.ARRIVAL, frame.fragment)
+        assert isinstance(arrival, Arrival)  # noqa: S101 - by its kind
         cookie = self._guards.cookie_wanted(
-            arrival.cookie, host=sender.host, port=sender.port, exchange_id=exchange_id, now_s=now_s
+            arrival.cookie, host=sender.host, port=sender.port, exchange_id=frame.exchange_id, now_s=now_s
         )
-        if sender.proven or cookie is None:
+        if cookie is None:
             return ()
-        payload = encode_message(Cookie(cookie))
         frames = split_into_frames(
-            Kind.COOKIE, payload, exchange_id=exchange_id, section_key=section_key_of(arrival.section_id)
+            Kind.COOKIE,
+            encode_message(Cookie(cookie)),
+            exchange_id=frame.exchange_id,
+            section_key=frame.section_key,
         )
-        return self._reserved(OutFrames(_NAMES[Kind.COOKIE], frames), exchange_id=exchange_id, now_s=now_s)
+        return self._reserved(OutFrames(_NAMES[Kind.COOKIE], frames), exchange_id=frame.exchange_id, now_s=now_s)
 
     def _welcome(self, arrival: Arrival, *, now_s: float) -> tuple[OutFrames, ...]:
         exchange_id = exchange_id_of(arrival.passage_id)

@@ -17,8 +17,8 @@ from rsu_app.adapters.http.control import control_socket, create_control_app
 from rsu_app.adapters.http.door import Door
 from rsu_app.adapters.http.server import HttpServer, listening_socket
 from rsu_app.adapters.udp.endpoint import FrameEndpoint, open_endpoint
-from rsu_app.bootstrap import Parts, build, load_sections, open_door, site_of_parts, software_version
-from rsu_app.heap import give_back_freed_memory
+from rsu_app.bootstrap import Parts, build, load_sections, open_door, renew_trust, site_of_parts, software_version
+from rsu_app.heap import give_back_freed_memory, spare_what_stays
 from rsu_app.observability import Metrics, configure_logging
 from rsu_app.operation import control_desk, one_line
 from rsu_app.rollout_wiring import socket_path
@@ -110,6 +110,7 @@ async def _run(settings: Settings) -> None:
             on_refusal=metrics.http_refusals.count,
             tls=None if door.tls is None else door.tls.context,
         )
+        spare_what_stays()
         await stack.enter_async_context(_chores(parts, endpoint, server, manager, door))
         if control is not None:
             await stack.enter_async_context(_control(parts, control))
@@ -168,6 +169,7 @@ def _chores_of(
     async def look() -> None:
         parts.signs.look()
         door.refresh()
+        renew_trust(parts)
 
     async def give_sign_of_life() -> None:
         if not tell_how_it_is(manager, parts.store.pulse, status=one_line(parts)):

@@ -11,6 +11,8 @@ from roadgrip.units import FloatArray
 
 BLOCK_COUNT = 1024
 """Rows that lie side by side. A row is put into its place by moving some of them, never more."""
+ORDERED_COLUMNS_COUNT = 2
+"""Columns that hold no NaN."""
 FIRST_BLOCK_COUNT = 64
 """Room that the first block begins with: a unit in a data centre has thousands of sections, most of them quiet."""
 
@@ -31,7 +33,9 @@ class _Block:
 
 
 class SortedRows:
-    """Rows of as many numbers each, ordered by the first of them, equal ones by the next; NaN comes before all numbers.
+    """Rows of as many numbers each, ordered by the first of them, equal ones by the next.
+
+    The first two of a row can be ordered; behind them NaN may stand, and comes before all numbers.
 
     What it holds does not depend on the order in which rows were added. Adding one, dropping the first and reading the
     newest take as long with a hundred thousand rows as with a thousand: the rows lie in blocks, and a table of
@@ -66,7 +70,7 @@ class SortedRows:
         """Put a row into its place.
 
         Args:
-            row: Its first number is one that can be ordered. (columns,)
+            row: Its first two numbers can be ordered. (columns,)
         """
         self._count += 1
         if not self._blocks:
@@ -131,14 +135,17 @@ class SortedRows:
 
 def _place(block: _Block, row: Sequence[float]) -> int:
     """Return where a row belongs in the table of a block, between its start and its stop."""
-    times = block.table[block.start : block.stop, 0]
-    place = block.start + int(np.searchsorted(times, row[0]))
-    if place < block.stop and block.table[place, 0] == row[0]:
-        # Passages that arrive together with one age have one time.
-        behind = block.start + int(np.searchsorted(times, row[0], side="right"))
-        ties = block.table[place:behind]
-        place += bisect_left(range(len(ties)), _rank(row), key=lambda number: _rank(ties[number]))
-    return place
+    place, behind = block.start, block.stop
+    # Passages that arrive together with one age have one time: many of these, but hardly two with one friction.
+    for column in range(ORDERED_COLUMNS_COUNT):
+        values = block.table[place:behind, column]
+        first = int(values.searchsorted(row[column]))
+        if first == len(values) or values[first] != row[column]:
+            return place + first
+        behind = place + int(values.searchsorted(row[column], side="right"))
+        place += first
+    ties = block.table[place:behind]
+    return place + bisect_left(range(len(ties)), _rank(row), key=lambda number: _rank(ties[number]))
 
 
 def _rank(row: Sequence[float] | FloatArray) -> list[float]:

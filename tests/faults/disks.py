@@ -165,8 +165,10 @@ def _scenario(name: str, what: str, fault: DiskFault, *controls: str, promise: s
 
 SCENARIOS = (
     _scenario("disk-full", "no file can grow (ENOSPC)", FULL, "a failed write is called stored", "readiness is polite"),
-    _scenario("disk-read-only", "every write, fsync and open for writing gives EROFS", READ_ONLY, "no second attempt"),
-    _scenario("disk-write-errors", "every write and open for writing gives EIO", WRITES_FAIL, "readiness is polite"),
+    _scenario(
+        "disk-read-only", "every write, fsync and open for writing gives EROFS", READ_ONLY, "readiness is polite"
+    ),
+    _scenario("disk-write-errors", "every write and open for writing gives EIO", WRITES_FAIL, "no second attempt"),
     _scenario("disk-fsync-errors", "every fsync gives EIO", SYNCS_FAIL, "a failed write is called stored"),
     _scenario(
         "disk-read-errors",

@@ -113,6 +113,6 @@ SCENARIOS = (
         conditions="SIGTERM at a random instant under load by radio and cellular at once",
         runs_count=10,
         perform=stops_under_load,
-        controls=("nobody is answered at the end", "acknowledge before the commit"),
+        controls=("nobody is answered at the end",),
     ),
 )

@@ -20,7 +20,17 @@ from roadgrip.section import GnssAnchor, build_section
 from roadgrip.trust import credential_to_pem
 from rsu_app.adapters.http.app import create_app
 from rsu_app.adapters.store import standby
-from rsu_app.bootstrap import Parts, build, check_maps, load_sections, load_trust, observe, open_door, site_of_parts
+from rsu_app.bootstrap import (
+    Parts,
+    build,
+    check_maps,
+    load_sections,
+    load_trust,
+    observe,
+    open_door,
+    renew_trust,
+    site_of_parts,
+)
 from rsu_app.domain.advisory import AdvisoryPolicy
 from rsu_app.domain.change import ChangePolicy
 from rsu_app.domain.interval import IntervalPolicy
@@ -373,3 +383,22 @@ def test_signatures_cannot_be_asked_for_where_no_authority_is_trusted(signing_se
     (folder / "authorities" / "of-the-road.pem").unlink()
     with pytest.raises(ConfigurationError, match=r"udp\.signatures needs"):
         load_trust(signing_settings)
+
+
+def test_trust_is_renewed_while_the_unit_runs_and_files_that_cannot_be_used_change_nothing(folder):
+    async def scenario() -> None:
+        credential = folder / "unit.pem"
+        credential.write_bytes(credential_to_pem(UNIT))
+        parts = parts_of(folder, f'[signing]\ncredential_file = "{credential}"\n')
+        before = parts.signatures.trust
+        renew_trust(parts)
+        assert parts.signatures.trust is before
+        credential.write_bytes(b"rubbish")
+        renew_trust(parts)
+        assert parts.signatures.trust is before
+        credential.write_bytes(credential_to_pem(signer_of(Role.UNIT, certificate_id=b"another!")))
+        renew_trust(parts)
+        assert parts.signatures.trust.signer != before.signer
+        await parts.unit.close()
+
+    asyncio.run(scenario())

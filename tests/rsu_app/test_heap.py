@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import ctypes
+import gc
 import sys
+import weakref
 from pathlib import Path
 
 import pytest
 
-from rsu_app.heap import give_back_freed_memory
+from rsu_app.heap import give_back_freed_memory, spare_what_stays
 
 BLOCKS_COUNT = 4_000
 BLOCK_BYTES = 8_000
@@ -44,3 +46,21 @@ def test_another_system_is_not_even_asked(monkeypatch):
     monkeypatch.setattr(sys, "platform", "win32")
     monkeypatch.setattr(ctypes, "CDLL", None)
     give_back_freed_memory()
+
+
+def test_what_stays_is_not_looked_through_again_and_new_garbage_is():
+    class Knot:
+        def __init__(self):
+            self.me = self
+
+    stays = Knot()
+    try:
+        spare_what_stays()
+        assert all(each is not stays for each in gc.get_objects())
+        knot = Knot()
+        seen = weakref.ref(knot)
+        del knot
+        gc.collect()
+        assert seen() is None
+    finally:
+        gc.unfreeze()
