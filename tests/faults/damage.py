@@ -78,12 +78,13 @@ def damaged_in_service(stage: Stage) -> Finding:
         with traffic.driving(unit):
             found.expect(traffic.wait_for(4 * FILLED_COUNT), "nothing was acknowledged")
         counted = unit.window_count()
-        content = unit.database.read_bytes()
-        with unit.database.open("r+b") as file:
-            # Everything but the first page: as if a card had lost a block, with the unit's cache still whole.
-            for page in range(1, len(content) // PAGE_BYTES):
-                file.seek(page * PAGE_BYTES)
-                file.write(chance.randbytes(PAGE_BYTES))
+        log = unit.database.with_name(unit.database.name + "-wal")
+        # As if a card had lost its blocks, with the unit's cache still whole.
+        for path, kept_bytes in ((unit.database, PAGE_BYTES), (log, LOG_HEAD_BYTES)):
+            size_bytes = path.stat().st_size
+            with path.open("r+b") as file:
+                file.seek(kept_bytes)
+                file.write(chance.randbytes(max(0, size_bytes - kept_bytes)))
         with traffic.driving(unit):
             # The unit's own cache holds what it needs; whoever asks for the metrics reads the file.
             moved = _until_moved_aside(unit)
@@ -222,7 +223,7 @@ SCENARIOS = (
         "database-damaged-in-service",
         "It is moved aside and a fresh one begun without a restart; the window goes on; readiness, log and "
         "metric say so.",
-        "all pages but the first overwritten while the unit runs under load and its metrics are asked for",
+        "everything but the first page and the head of the log overwritten while the unit runs and its metrics are asked for",
         damaged_in_service,
         "damage is not looked for",
     ),

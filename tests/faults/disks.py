@@ -168,13 +168,14 @@ SCENARIOS = (
     _scenario(
         "disk-read-only", "every write, fsync and open for writing gives EROFS", READ_ONLY, "readiness is polite"
     ),
-    _scenario("disk-write-errors", "every write and open for writing gives EIO", WRITES_FAIL, "no second attempt"),
+    _scenario("disk-write-errors", "every write and open for writing gives EIO", WRITES_FAIL, "readiness is polite"),
     _scenario("disk-fsync-errors", "every fsync gives EIO", SYNCS_FAIL, "a failed write is called stored"),
     _scenario(
         "disk-read-errors",
         "every read of a file gives EIO",
         READS_FAIL,
         "what cannot be read is called damaged",
+        "no second attempt",
         promise="The unit goes on answering from memory, by radio and over HTTP; started meanwhile, it serves "
         "and reads "
         "its memory later; a database that cannot be read just now is not taken for damaged; nothing "
