@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Callable
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import NamedTuple
 
 import structlog
@@ -22,8 +22,10 @@ from rsu_app.usecases import AcceptedAgain, RoadSideUnit
 _log = structlog.get_logger("roadgrip")
 
 
-BATCH_COUNT = 64
+BATCH_COUNT = 128
 """Passages that are judged together at most: some milliseconds, in which the event loop does nothing else."""
+TURN_S = 0.02
+"""A batch that takes longer than this, for the disk's sake, keeps the next from beginning no more."""
 
 
 class _Waiting(NamedTuple):
@@ -36,8 +38,8 @@ class _Waiting(NamedTuple):
 class PassageIntake:
     """Hands passages to the unit, not more at one time than it can bear.
 
-    What arrives within one turn of the event loop is judged together: the busier the unit, the larger its batches and
-    the cheaper each passage, while a lone passage waits for nobody.
+    One batch is in work at a time, and what arrives meanwhile is the next: the busier the unit, the larger its batches
+    and the cheaper each passage. A passage that arrives alone is begun with at once.
 
     Args:
         unit: What judges and keeps them.
@@ -64,6 +66,7 @@ class PassageIntake:
         self._now_s = now_s
         self._waiting: list[_Waiting] = []
         self._working: set[asyncio.Task[None]] = set()
+        self._turn: asyncio.Handle | None = None
         # Bound once: binding a logger for every passage would cost as much as decoding one.
         self._log = _log.bind()
 
@@ -99,17 +102,28 @@ class PassageIntake:
             return answer
         self._in_flight_count += 1
         self._waiting.append(waiting)
-        if len(self._waiting) == 1:
-            loop.call_soon(self._begin)
+        if self._turn is None:
+            self._turn = loop.call_soon(self._begin)
         return answer
 
     def _begin(self) -> None:
+        """Begin with a batch of those who wait; the next begins when it has ended, or takes too long."""
+        if not self._waiting:
+            self._turn = None
+            return
+        loop = asyncio.get_running_loop()
         batch, self._waiting = self._waiting[:BATCH_COUNT], self._waiting[BATCH_COUNT:]
-        task = asyncio.get_running_loop().create_task(self._work(batch))
+        task = loop.create_task(self._work(batch))
         self._working.add(task)
-        task.add_done_callback(self._working.discard)
-        if self._waiting:
-            asyncio.get_running_loop().call_soon(self._begin)
+        turn = self._turn = loop.call_later(TURN_S, self._begin)
+        task.add_done_callback(partial(self._end, turn))
+
+    def _end(self, turn: asyncio.Handle, task: asyncio.Task[None]) -> None:
+        self._working.discard(task)
+        if turn is self._turn:  # or others have begun meanwhile
+            turn.cancel()
+            # After the sockets were read once more: what came meanwhile belongs to the next batch.
+            self._turn = asyncio.get_running_loop().call_soon(self._begin)
 
     async def _work(self, batch: list[_Waiting]) -> None:
         """Answer everybody in a batch."""

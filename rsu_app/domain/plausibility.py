@@ -53,7 +53,7 @@ def implausibility(
         table_digests: The feature tables that are served, each one of `roadgrip.features.TABLES`.
     """
     misdirected = misdirection(passage, section, table_digests=table_digests)
-    return misdirected or implausibilities([passage], summary_values(passage.summary)[None, :], section)[0]
+    return misdirected or implausibilities([passage], summary_values(passage.summary)[None, :], [section])[0]
 
 
 def misdirection(passage: Passage, section: RoadSection, *, table_digests: Collection[str]) -> Rejected | None:
@@ -75,7 +75,7 @@ def misdirection(passage: Passage, section: RoadSection, *, table_digests: Colle
 
 
 def implausibilities(
-    passages: Sequence[Passage], values: NDArray[np.float32], section: RoadSection
+    passages: Sequence[Passage], values: NDArray[np.float32], sections: Sequence[RoadSection]
 ) -> list[Rejected | None]:
     """Return why each passage is refused, or None if it can have happened; see `implausibility`.
 
@@ -83,23 +83,24 @@ def implausibilities(
     looked at alone, for the reason.
 
     Args:
-        passages: Of one feature table, for this map, as `misdirection` lets them through; at least one.
+        passages: Of one feature table, each for its map, as `misdirection` lets them through; at least one.
         values: Of their summaries, see `summary_values`. (n, k)
-        section: The map.
+        sections: The map of each.
     """
     table = TABLES[passages[0].summary.table_digest]
     claims = _Claims(
         values=values,
         duration_s=np.array([passage.summary.duration_s for passage in passages]),
         age_s=np.array([passage.age_s for passage in passages]),
+        length_m=np.array([section.length_m for section in sections]),
     )
     possible = ~(_not_finite(claims) | _outside(claims, table).any(axis=1))
     # Only numbers that can be true alone are put into the laws.
     asked = np.flatnonzero(possible)
     broken = np.zeros(len(possible), dtype=np.bool_)
     broken[asked] = np.any([law.any(axis=1) for law in _broken_laws(claims.values[asked], table).values()], axis=0)
-    fine = possible & ~broken & ~_wrong_distance(claims, section, table) & ~_wrong_age(claims)
-    return [None if ok else _why_refused(claims.only(i), section, table) for i, ok in enumerate(fine.tolist())]
+    fine = possible & ~broken & ~_wrong_distance(claims, table) & ~_wrong_age(claims)
+    return [None if ok else _why_refused(claims.only(i), table) for i, ok in enumerate(fine.tolist())]
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,15 +111,18 @@ class _Claims:
         values: (n, k)
         duration_s: (n,)
         age_s: (n,)
+        length_m: Of the section. (n,)
     """
 
     values: NDArray[np.float32]
     duration_s: FloatArray
     age_s: FloatArray
+    length_m: FloatArray
 
     def only(self, i: int) -> _Claims:
         """Return one of the passages."""
-        return _Claims(self.values[i : i + 1], self.duration_s[i : i + 1], self.age_s[i : i + 1])
+        one = slice(i, i + 1)
+        return _Claims(self.values[one], self.duration_s[one], self.age_s[one], self.length_m[one])
 
 
 def _not_finite(claims: _Claims) -> BoolArray:
@@ -162,9 +166,9 @@ def _driven_m(claims: _Claims, table: FeatureTable) -> FloatArray:
     return np.asarray(claims.values[:, table.index("speed_mean_mps")] * claims.duration_s, dtype=np.float64)
 
 
-def _wrong_distance(claims: _Claims, section: RoadSection, table: FeatureTable) -> BoolArray:
+def _wrong_distance(claims: _Claims, table: FeatureTable) -> BoolArray:
     with np.errstate(invalid="ignore", over="ignore"):
-        away_frac = np.abs(_driven_m(claims, table) / section.length_m - 1.0)
+        away_frac = np.abs(_driven_m(claims, table) / claims.length_m - 1.0)
     return np.asarray((claims.duration_s <= 0.0) | ~(away_frac <= DISTANCE_TOLERANCE_FRAC))
 
 
@@ -172,7 +176,7 @@ def _wrong_age(claims: _Claims) -> BoolArray:
     return np.asarray(~((claims.age_s >= 0.0) & (claims.age_s <= AGE_LIMIT_S)))
 
 
-def _why_refused(claims: _Claims, section: RoadSection, table: FeatureTable) -> Rejected:
+def _why_refused(claims: _Claims, table: FeatureTable) -> Rejected:
     """Return the first reason why a single passage cannot have happened."""
     if _not_finite(claims)[0]:
         return Rejected(Reason.NOT_FINITE, "a value, the age or the duration is not a finite number")
@@ -187,9 +191,9 @@ def _why_refused(claims: _Claims, section: RoadSection, table: FeatureTable) -> 
             name = table.names[table.statistics_columns[int(np.argmax(broken[0])), 0]]
             return Rejected(Reason.OUT_OF_RANGE, f"{law}: broken by the signal of {name}")
     duration_s, age_s = float(claims.duration_s[0]), float(claims.age_s[0])
-    if _wrong_distance(claims, section, table)[0]:
-        driven_m = float(_driven_m(claims, table)[0])
-        detail = f"{duration_s:.6g} s at its mean speed are {driven_m:.6g} m, the section has {section.length_m:.1f} m"
+    if _wrong_distance(claims, table)[0]:
+        driven_m, length_m = float(_driven_m(claims, table)[0]), float(claims.length_m[0])
+        detail = f"{duration_s:.6g} s at its mean speed are {driven_m:.6g} m, the section has {length_m:.1f} m"
         return Rejected(Reason.IMPOSSIBLE_DURATION, detail)
     return Rejected(Reason.IMPOSSIBLE_AGE, f"an age of {age_s:.6g} s is not within 0 to {AGE_LIMIT_S:.0f} s")
 

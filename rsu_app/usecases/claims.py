@@ -51,34 +51,47 @@ def claim_of(passage: Passage) -> Claim:
     return Claim(passage, values, marks_of(passage, values))
 
 
-def groups_of(places: Iterable[int], passages: Sequence[Passage]) -> Iterable[list[int]]:
-    """Return the places of passages that one model answers together: one section, one feature table."""
-    groups: dict[tuple[str, str], list[int]] = {}
+def groups_of(places: Iterable[int], claims: Sequence[Claim], judges: Judges) -> Iterable[list[int]]:
+    """Return the places of claims that the same models answer together: one feature table, and mostly all sections."""
+    groups: dict[tuple[str, str | None, str | None], list[int]] = {}
     for i in places:
-        groups.setdefault((passages[i].section_id, passages[i].summary.table_digest), []).append(i)
+        passage = claims[i].passage
+        table_digest, section_id = passage.summary.table_digest, passage.section_id
+        shadow = None if judges.shadow is None else judges.shadow.model
+        key = (
+            table_digest,
+            _special_to(judges.live, table_digest, section_id),
+            _special_to(shadow, table_digest, section_id),
+        )
+        groups.setdefault(key, []).append(i)
     return groups.values()
 
 
+def _special_to(model: FrictionModel | None, table_digest: str, section_id: str) -> str | None:
+    """Return the section that a bundle has a model of its own for, if it is this one."""
+    manifest = None if model is None else model.manifest.model_for(table_digest, section_id=section_id)
+    return None if manifest is None else manifest.section_id
+
+
 def judged_claims(
-    claims: Sequence[Claim], state: SectionState, judges: Judges, *, unix_s: float, window_s: float
+    claims: Sequence[Claim], states: Sequence[SectionState], judges: Judges, *, unix_s: float, window_s: float
 ) -> list[PassageEntry | Rejected]:
     """Return what is to be stored of each claim, or why it is refused.
 
     Args:
-        claims: Of one section and one feature table, at least one, as
-            `rsu_app.domain.plausibility.misdirection` lets them through.
-        state: Of the section.
+        claims: One group of `groups_of`, at least one, as `rsu_app.domain.plausibility.misdirection` lets them through.
+        states: Of the section of each.
         judges: Whom to ask.
         unix_s: When they came, by the wall clock.
         window_s: How long a passage counts.
     """
     values = np.stack([claim.values for claim in claims])
-    refusals = implausibilities([claim.passage for claim in claims], values, state.section)
+    refusals = implausibilities([claim.passage for claim in claims], values, [state.section for state in states])
     possible = [i for i, refusal in enumerate(refusals) if refusal is None]
     results: list[PassageEntry | Rejected | None] = [*refusals]
     if possible:
         table_digest = claims[0].passage.summary.table_digest
-        heard = _heard(table_digest, values[possible], state, judges)
+        heard = _heard(table_digest, values[possible], [states[i] for i in possible], judges)
         for place, i in enumerate(possible):
             results[i] = (
                 heard
@@ -95,19 +108,21 @@ class _Heard(NamedTuple):
     beside: list[Judgement | None]
 
 
-def _heard(table_digest: str, values: NDArray[np.float32], state: SectionState, judges: Judges) -> _Heard | Rejected:
+def _heard(
+    table_digest: str, values: NDArray[np.float32], states: Sequence[SectionState], judges: Judges
+) -> _Heard | Rejected:
     """Return what the models say of passages that can have happened, or that none can."""
     if judges.live is None:
         return Rejected(Reason.NO_MODEL, "this unit has no model yet")
     try:
-        live = answers_of(table_digest, values, state, judges.live)
+        live = answers_of(table_digest, values, states, judges.live)
     except BundleError as error:
         return Rejected(Reason.NO_MODEL, str(error))
     bundle_id, shadow = judges.live.manifest.bundle_id, judges.shadow
     judgements = [answer.judgement for answer in live if answer.judgement is not None]
     if shadow is None:
         return _Heard(bundle_id, judgements, None, [None] * len(live))
-    beside = asked_beside(table_digest, values, state, shadow, live)
+    beside = asked_beside(table_digest, values, states, shadow, live)
     return _Heard(bundle_id, judgements, shadow.model.manifest.bundle_id, beside)
 
 

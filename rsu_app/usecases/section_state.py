@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from math import nan
 
@@ -182,28 +182,27 @@ _PROFILE_PLACES = {
 
 
 def judged_values(
-    table_digest: str, values: NDArray[np.float32], state: SectionState, model: FrictionModel
+    table_digest: str, values: NDArray[np.float32], states: Sequence[SectionState], model: FrictionModel
 ) -> list[Judgement]:
     """Return what the bundle's model for the summaries' own feature table says; never that for another one.
 
-    A model of the bundle for this very section comes before the global one. Many passages at once cost a model a
+    A model of the bundle for a single section comes before the global one. Many passages at once cost a model a
     fraction of what they cost one by one.
 
     Args:
         table_digest: Of the summaries.
-        values: Of passages that can have happened. (n, k)
-        state: Of the section they name.
+        values: Of passages that can have happened, at least one. (n, k)
+        states: Of the section of each; the bundle has the same model for all of them.
         model: The live models.
 
     Raises:
         BundleError: There is no model for that table, or it does not answer.
     """
-    section_id = state.section.section_id
+    section_id = states[0].section.section_id
     manifest = model.manifest.model_for(table_digest, section_id=section_id)
     if manifest is None:
         raise BundleError(f"bundle {model.manifest.bundle_id} has no model for feature table {table_digest}")
-    road = state.road_rows[table_digest]
-    rows = np.hstack([values.astype(np.float64), np.broadcast_to(road, (len(values), len(road)))])
+    rows = np.hstack([values.astype(np.float64), np.stack([state.road_rows[table_digest] for state in states])])
     answer = model.estimate(table_digest, rows, section_id=section_id)
     errors = answer.expected_error_ratio
     return judgements(

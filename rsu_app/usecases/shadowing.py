@@ -32,27 +32,31 @@ class Shadow:
 
 
 def answers_of(
-    table_digest: str, values: NDArray[np.float32], state: SectionState, model: FrictionModel
+    table_digest: str, values: NDArray[np.float32], states: Sequence[SectionState], model: FrictionModel
 ) -> list[Answer]:
-    """Return what a model says of passages over one section, and how long each took: its share of the whole.
+    """Return what a model says of passages, and how long each took: its share of the whole.
 
     Args:
         table_digest: The feature table of their summaries.
         values: Of passages that can have happened. (n, k)
-        state: Of the section.
+        states: Of the section of each.
         model: Whom to ask.
 
     Raises:
         BundleError: It has no model for their feature table, or does not answer.
     """
     started_s = time.perf_counter()
-    judged = judged_values(table_digest, values, state, model)
+    judged = judged_values(table_digest, values, states, model)
     took_s = (time.perf_counter() - started_s) / len(judged)
     return [Answer(each, took_s) for each in judged]
 
 
 def asked_beside(
-    table_digest: str, values: NDArray[np.float32], state: SectionState, shadow: Shadow, live: Sequence[Answer]
+    table_digest: str,
+    values: NDArray[np.float32],
+    states: Sequence[SectionState],
+    shadow: Shadow,
+    live: Sequence[Answer],
 ) -> list[Judgement | None]:
     """Return what the model beside says, None where it does not answer, after both answers were compared.
 
@@ -61,12 +65,12 @@ def asked_beside(
     Args:
         table_digest: The feature table of their summaries.
         values: Of passages that can have happened. (n, k)
-        state: Of the section.
+        states: Of the section of each.
         shadow: Whom to ask.
         live: What the live model made of each.
     """
     try:
-        beside = answers_of(table_digest, values, state, shadow.model)
+        beside = answers_of(table_digest, values, states, shadow.model)
     except (BundleError, ValueError):
         beside = [Answer(None, 0.0)] * len(live)
     for its, heard in zip(beside, live, strict=True):

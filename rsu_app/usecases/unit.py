@@ -209,9 +209,9 @@ class RoadSideUnit:
         places: list[int] = []
         judges = Judges(self._model, self._shadow)
         unix_s, window_s = self._clock.unix_s(), self._limits.window_s
-        for group in groups_of([i for i, outcome in enumerate(outcomes) if outcome is None], passages):
-            state = self._states[passages[group[0]].section_id]
-            answers = judged_claims([claims[i] for i in group], state, judges, unix_s=unix_s, window_s=window_s)
+        for group in groups_of([i for i, outcome in enumerate(outcomes) if outcome is None], claims, judges):
+            states = [self._states[passages[i].section_id] for i in group]
+            answers = judged_claims([claims[i] for i in group], states, judges, unix_s=unix_s, window_s=window_s)
             for i, judged in zip(group, answers, strict=True):
                 if isinstance(judged, Rejected):
                     outcomes[i] = judged

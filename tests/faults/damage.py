@@ -223,7 +223,8 @@ SCENARIOS = (
         "database-damaged-in-service",
         "It is moved aside and a fresh one begun without a restart; the window goes on; readiness, log and "
         "metric say so.",
-        "everything but the first page and the head of the log overwritten while the unit runs and its metrics are asked for",
+        "everything but the first page and the head of the log overwritten while the unit runs and its metrics are "
+        "asked for",
         damaged_in_service,
         "damage is not looked for",
     ),
