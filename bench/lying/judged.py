@@ -90,7 +90,7 @@ class Door:
             )
             for row, lasted_s in zip(sent.tolist(), duration_s.tolist(), strict=True)
         ]
-        refused = implausibilities(passages, sent.astype(np.float32), self.section)
+        refused = implausibilities(passages, sent.astype(np.float32), [self.section] * len(passages))
         possible = np.array([each is None for each in refused], dtype=np.bool_)
         said = _nothing(sent, self.table)
         counted = np.zeros(len(sent), dtype=np.bool_)

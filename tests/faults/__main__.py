@@ -59,7 +59,7 @@ def main(
             row = _performed(scenario, runs=runs or scenario.runs_count, seed=seed, console=console)
             failed |= not row["passed"]
         kept.append(row)
-        # After each, since all of them take an hour; read again, since others may keep theirs meanwhile.
+        # After each, since all of them take half an hour; read again, since others may keep theirs meanwhile.
         rows = merged(read(out), row, SCENARIOS)
         keep(out, rows)
         if page.exists():

@@ -85,9 +85,9 @@ def damaged_in_service(stage: Stage) -> Finding:
             with path.open("r+b") as file:
                 file.seek(kept_bytes)
                 file.write(chance.randbytes(max(0, size_bytes - kept_bytes)))
+        # The unit's own cache holds what it needs to write; whoever asks for the metrics reads the file.
+        moved = _until_moved_aside(unit)
         with traffic.driving(unit):
-            # The unit's own cache holds what it needs; whoever asks for the metrics reads the file.
-            moved = _until_moved_aside(unit)
             again = traffic.wait_for(len(traffic.acknowledged) + FILLED_COUNT)
         found.expect(again, "nothing is stored any more")
         found.expect(unit.window_count() >= counted, "the window forgot what it knew")

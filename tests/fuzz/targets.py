@@ -186,7 +186,7 @@ def check_signed(data: bytes) -> None:
             message = sealed(
                 b"payload", private_key=CAR, protected=content, external_aad=b"x", certificate=CERTIFICATE.encoded
             )
-            signed = Verifier(AUTHORITIES).open(message, external_aad=b"x")[1]
+            signed = Verifier(AUTHORITIES).unsealed(message, external_aad=b"x")[1]
             signer = Signer(CERTIFICATE, CAR)
             assert sign(b"payload", signer=signer, external_aad=b"x", claims=signed.claims) == message
     except WireError:

@@ -8,6 +8,7 @@ from pathlib import Path
 import httpx
 import numpy as np
 import pytest
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 
 from bench.certified import AUTHORITIES, AUTHORITY_KEY, OTHER_AUTHORITY_KEY, UNIT, signer_of
@@ -316,7 +317,7 @@ signatures = "required"
 """
 
 
-def public_pem_of(key) -> bytes:
+def public_pem_of(key: Ed25519PrivateKey) -> bytes:
     return key.public_key().public_bytes(Encoding.PEM, PublicFormat.SubjectPublicKeyInfo)
 
 

@@ -210,7 +210,7 @@ def test_json_is_refused_where_signatures_are_required():
     assert under_test.store.entries == []
 
 
-BEFORE = {"valid_from_unix_s": 0, "valid_until_unix_s": int(NOON_UNIX_S) - 1}
+FORMER = signer_of(Role.VEHICLE, valid_from_unix_s=0, valid_until_unix_s=int(NOON_UNIX_S) - 1)
 
 
 @pytest.mark.parametrize(
@@ -218,7 +218,7 @@ BEFORE = {"valid_from_unix_s": 0, "valid_until_unix_s": int(NOON_UNIX_S) - 1}
     [
         (Signer(VEHICLE.certificate, OTHER_AUTHORITY_KEY), Reason.BAD_SIGNATURE),
         (signer_of(Role.VEHICLE, authority=OTHER_AUTHORITY_KEY), Reason.UNKNOWN_KEY),
-        (signer_of(Role.VEHICLE, **BEFORE), Reason.CERTIFICATE_EXPIRED),
+        (FORMER, Reason.CERTIFICATE_EXPIRED),
         (signer_of(Role.VEHICLE, certificate_id=b"stolen!!"), Reason.CERTIFICATE_REVOKED),
         (UNIT, Reason.NOT_PERMITTED),
     ],
@@ -243,7 +243,7 @@ def test_a_recorded_passage_that_is_played_again_is_refused(later_s):
 def test_a_unit_without_a_clock_judges_signatures_and_no_dates():
     under_test = make_unit(section=SECTION, verifier=VERIFIER)
     under_test.clock.now_unix_s = 1000.0
-    (receipt,) = asyncio.run(radio(under_test, frame_of_passage(P, signer=signer_of(Role.VEHICLE, **BEFORE))))
+    (receipt,) = asyncio.run(radio(under_test, frame_of_passage(P, signer=FORMER)))
     assert receipt == Receipt(P.passage_id, Accepted())
     assert refusal_of(frame_of_passage(P, signer=UNIT), under_test) is Reason.NOT_PERMITTED
 

@@ -59,12 +59,14 @@ def insert_entries(connection: Connection, entries: Sequence[PassageEntry]) -> l
 
 def _inserted(connection: Connection, entries: Sequence[PassageEntry]) -> bool:
     """Return whether all entries are stored now; if one was held already, none is."""
-    with connection.begin_nested() as attempt:
-        try:
-            connection.exec_driver_sql(_INSERT, [_passage_row(entry) for entry in entries])
-        except IntegrityError:
-            attempt.rollback()
-            return False
+    connection.exec_driver_sql("SAVEPOINT attempt")
+    try:
+        connection.exec_driver_sql(_INSERT, [_passage_row(entry) for entry in entries])
+    except IntegrityError:
+        # Nothing else is caught: at a full disk SQLite has undone the whole transaction, savepoint and all.
+        connection.exec_driver_sql("ROLLBACK TO attempt")
+        return False
+    connection.exec_driver_sql("RELEASE attempt")
     return True
 
 

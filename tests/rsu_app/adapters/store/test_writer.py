@@ -55,15 +55,15 @@ def test_a_full_queue_refuses_at_once_and_takes_more_later(path):
     async def story():
         async with writing(path, queue_count=2) as writer:
             release, holding = await hold_up(writer)
-            waiting = [asyncio.create_task(writer.submit(make_entry(seed))) for seed in (1, 2)]
+            waiting = [asyncio.create_task(writer.submit([make_entry(seed)])) for seed in (1, 2)]
             await asyncio.sleep(0)
             assert writer.queued_count == 2
             with pytest.raises(StoreFullError, match="2 writes wait already"):
-                await writer.submit(make_entry(3))
+                await writer.submit([make_entry(3)])
             release.set()
             await holding
-            assert await asyncio.gather(*waiting) == [None, None]
-            assert await writer.submit(make_entry(3)) is None
+            assert await asyncio.gather(*waiting) == [[None], [None]]
+            assert await writer.submit([make_entry(3)]) == [None]
 
     asyncio.run(story())
     assert passages_count(path) == 3
@@ -77,7 +77,7 @@ def test_passages_that_wait_share_a_commit(path):
         event.listen(engine, "commit", commits.append)
         writer = Writer(engine, WriterLimits(group_count=25, linger_s=0.0))
         release, holding = await hold_up(writer)
-        waiting = [asyncio.create_task(writer.submit(make_entry(seed))) for seed in range(50)]
+        waiting = [asyncio.create_task(writer.submit([make_entry(seed)])) for seed in range(50)]
         await asyncio.sleep(0)
         release.set()
         await asyncio.gather(holding, *waiting)
@@ -93,7 +93,7 @@ def test_nothing_is_answered_before_its_commit(path):
     async def story():
         async with writing(path) as writer:
             release, holding = await hold_up(writer)
-            waiting = asyncio.create_task(writer.submit(make_entry(1)))
+            waiting = asyncio.create_task(writer.submit([make_entry(1)]))
             await asyncio.sleep(0.02)
             assert not waiting.done()
             release.set()
@@ -106,14 +106,14 @@ def test_nothing_is_answered_before_its_commit(path):
 def test_a_full_disk_refuses_and_its_end_is_noticed(path):
     async def story():
         async with writing(path, group_count=1) as writer:
-            await writer.submit(make_entry(0))
+            await writer.submit([make_entry(0)])
             with closing(sqlite3.connect(path)) as connection:
                 [(used_count,)] = connection.execute("PRAGMA page_count")
             await writer.submit(f"PRAGMA max_page_count = {used_count}")
             refused = 0
             for seed in range(1, 100):
                 try:
-                    await writer.submit(make_entry(seed))
+                    await writer.submit([make_entry(seed)])
                 except StoreFullError as error:
                     assert "the disk is full" in str(error)  # noqa: PT017 - it is not known which one does not fit
                     refused += 1
@@ -121,7 +121,7 @@ def test_a_full_disk_refuses_and_its_end_is_noticed(path):
             assert refused == 1
             assert writer.committed_ago_s is None
             # A failed write opens a fresh connection, on which this test's limit is gone: there is room again.
-            assert await writer.submit(make_entry(1000)) is None
+            assert await writer.submit([make_entry(1000)]) == [None]
             assert writer.committed_ago_s is not None
 
     asyncio.run(story())
@@ -139,7 +139,7 @@ def test_work_that_fails_is_answered_and_the_thread_lives(path):
                 await writer.submit(lambda connection: connection.execute(text("DELETE FROM nowhere")))
             with pytest.raises(StoreError, match="syntax"):
                 await writer.submit("THIS IS NO SQL")
-            assert await writer.submit(make_entry(1)) is None
+            assert await writer.submit([make_entry(1)]) == [None]
 
     asyncio.run(story())
 
@@ -163,14 +163,14 @@ def test_a_loop_that_is_gone_does_not_stop_the_writer(path):
     async def story():
         writer = Writer(writing_engine(path), WriterLimits(linger_s=0.0))
         release, holding = await hold_up(writer)
-        waiting = asyncio.create_task(writer.submit(make_entry(1)))
+        waiting = asyncio.create_task(writer.submit([make_entry(1)]))
         await asyncio.sleep(0)
         holding.cancel()
         waiting.cancel()
         return writer, release
 
     async def end(writer):
-        assert await writer.submit(make_entry(2)) is None
+        assert await writer.submit([make_entry(2)]) == [None]
         await writer.close()
 
     writer, release = asyncio.run(story())
