@@ -95,7 +95,7 @@ lint: $(STAMP) ## ruff: every rule minus the exceptions that pyproject.toml give
 	@$(BIN)/ruff check $(CODE)
 
 types: $(STAMP) ## mypy, strict
-	@$(BIN)/mypy $(CODE)
+	@$(BIN)/mypy --num-workers $(WORKERS) $(CODE)
 
 contracts: $(STAMP) ## import-linter: which package may know which
 	@$(BIN)/lint-imports --no-cache --no-logo

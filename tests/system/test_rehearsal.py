@@ -19,6 +19,7 @@ ROOT = Path(__file__).parents[2]
 
 @pytest.mark.system
 @pytest.mark.sim
+@pytest.mark.long  # the operators' page plays the same commands; `make mlops-demo` plays this
 @pytest.mark.timeout(900)
 def test_the_operators_loop_goes_as_promised(tmp_path):
     done = subprocess.run(

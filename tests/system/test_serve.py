@@ -10,12 +10,13 @@ import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import httpx
 import pytest
 
-from roadgrip.records import Accepted, Arrival, MapOffer, Receipt
+from roadgrip.records import Accepted, Arrival, Cookie, MapOffer, Receipt
 from roadgrip.section import RoadSection
 from roadgrip.section_file import section_from_json
 from tests.rsu_app.fakes import make_passage
@@ -92,8 +93,13 @@ def test_the_exchange_over_a_real_socket_and_over_cellular(tmp_path):
         section = section_of(daemon)
         passage = make_passage(section, seed=1)
         arrival = Arrival(passage.passage_id, section.section_id)
-        for frame in frames_of(arrival, passage_id=passage.passage_id, section_id=section.section_id):
-            radio.send(frame)
+        (asked,) = frames_of(arrival, passage_id=passage.passage_id, section_id=section.section_id)
+        radio.send(asked)
+        (cookie,) = read_frames([radio.recv(2000)])
+        assert isinstance(cookie, Cookie)
+        shown = replace(arrival, cookie=cookie.cookie)
+        (asked_again,) = frames_of(shown, passage_id=passage.passage_id, section_id=section.section_id)
+        radio.send(asked_again)
         heard = [radio.recv(2000), radio.recv(2000)]
         assert MapOffer in {type(message) for message in read_frames(heard)}
         radio.send(b"rubbish")
