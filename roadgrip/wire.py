@@ -10,17 +10,11 @@ believed is decided behind the door.
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Callable, Mapping
-from functools import lru_cache
-from math import isfinite
 from typing import Any, NamedTuple, TypeVar
 
-import cbor2
-
-from roadgrip.cbor import TAG_FLOAT32_LE, strict_dumps, strict_loads
+from roadgrip.cbor import strict_dumps, strict_loads
 from roadgrip.errors import WireError
-from roadgrip.features import TABLES
 from roadgrip.protocol import (
     ADVISORY_REASON_CODES,
     CONFIDENCE_CODES,
@@ -41,12 +35,10 @@ from roadgrip.records import (
     Beacon,
     Cookie,
     FrictionInterval,
-    KinematicSummary,
     MapOffer,
     Message,
     NotCounted,
     Passage,
-    QualityFlag,
     Receipt,
     Rejected,
 )
@@ -69,9 +61,9 @@ from roadgrip.wire_fields import (
     meanings,
     quanta,
     text_in,
-    typed_array_in,
 )
 from roadgrip.wire_map import map_from_fields, map_to_fields
+from roadgrip.wire_summary import summary_at_once, summary_from_fields, summary_to_fields
 
 __all__ = ["Kind", "Received", "decode_message", "encode_message", "kind_of", "open_message", "rounded_to_wire"]
 
@@ -79,15 +71,9 @@ M = TypeVar("M", bound=Message)
 
 DETAIL_LIMIT_CHARS = 120
 """The detail of a rejection is cut here; nobody needs it to act."""
-SUMMARY_VALUES_LIMIT_COUNT = 224
-"""More than any feature table to come has, and as many as fit one frame with a signature; the table's digest says how
-many there must be."""
-
 _REASONS = meanings(REASON_CODES)
 _ADVISORY_REASONS = meanings(ADVISORY_REASON_CODES)
 _CONFIDENCES = meanings(CONFIDENCE_CODES)
-_ALL_QUALITY = sum(QualityFlag)
-_QUALITIES = tuple(map(QualityFlag, range(_ALL_QUALITY + 1)))
 _ALL_NOT_COUNTED = sum(NotCounted)
 _INTERVAL_FIELDS_COUNT = 10
 
@@ -121,7 +107,7 @@ def encode_message(
         WireError: The record holds what has no spelling on the air; the reason is the one a receiver would give.
     """
     kind = kind_of(message)
-    payload = strict_dumps(_CODECS[kind].to_fields(message))
+    payload = _CODECS[kind].written(message)
     if signer is not None and kind is not Kind.COOKIE:
         aad = external_aad_of(kind, exchange_id=exchange_id)
         payload = sign(payload, signer=signer, external_aad=aad, claims=claims)
@@ -152,7 +138,7 @@ def open_message(
     if (required or is_signed(payload)) and kind is not Kind.COOKIE:
         aad = external_aad_of(kind, exchange_id=exchange_id)
         content, signed = open_payload(payload, verifier=verifier, required=required, external_aad=aad)
-    return Received(_CODECS[kind].from_fields(strict_loads(content)), signed)
+    return Received(_CODECS[kind].read(content), signed)
 
 
 def decode_message(kind: Kind, payload: bytes) -> Message:
@@ -353,70 +339,6 @@ def _beacon_from_fields(value: object) -> Beacon:
     )
 
 
-# SUMMARY
-
-_SUMMARY_KEYS = frozenset(range(8))
-
-
-@lru_cache(maxsize=8)
-def _floats(count: int) -> struct.Struct:
-    return struct.Struct(f"<{count}f")
-
-
-def _check_finite(values: tuple[float, ...]) -> None:
-    # The sum of finite 32-bit floats is finite in 64 bits, and that of others never is.
-    if not isfinite(sum(values)):
-        raise WireError(Reason.NOT_FINITE, "a statistic is not finite")
-
-
-def _check_count(count: int, *, table_digest: str) -> None:
-    # Of a table not spoken here nobody knows the length; who knows which tables are served refuses it by its digest.
-    table = TABLES.get(table_digest)
-    if (table is not None and count != len(table.kinematic)) or not 0 < count <= SUMMARY_VALUES_LIMIT_COUNT:
-        raise WireError(Reason.MALFORMED, f"{count} statistics for feature table {table_digest}")
-
-
-def _summary_to_fields(passage: Passage) -> Fields:
-    summary = passage.summary
-    _check_count(len(summary.values), table_digest=summary.table_digest)
-    _check_finite(summary.values)
-    try:
-        values = _floats(len(summary.values)).pack(*summary.values)
-    except OverflowError as error:
-        raise WireError(Reason.NOT_FINITE, "a statistic is not finite in 32 bits") from error
-    return {
-        0: checked_passage_id(passage.passage_id),
-        1: checked_section_id(passage.section_id),
-        2: digest_bytes(passage.map_version, name="the map version"),
-        3: digest_bytes(summary.table_digest, name="the feature table"),
-        4: cbor2.CBORTag(TAG_FLOAT32_LE, values),
-        5: quanta(summary.duration_s, per_unit=100, name="the duration", reason=Reason.IMPOSSIBLE_DURATION),
-        6: checked_int(int(summary.quality), name="the quality", low=0, high=_ALL_QUALITY),
-        7: quanta(passage.age_s, per_unit=100, name="the age", reason=Reason.IMPOSSIBLE_AGE),
-    }
-
-
-def _summary_from_fields(value: object) -> Passage:
-    fields = check_keys(value, required=_SUMMARY_KEYS)
-    table_digest = digest_in(fields, 3, name="the feature table")
-    raw = typed_array_in(fields, 4, tag=TAG_FLOAT32_LE, item_bytes=4, name="the statistics")
-    _check_count(len(raw) // 4, table_digest=table_digest)
-    values = _floats(len(raw) // 4).unpack(raw)
-    _check_finite(values)
-    return Passage(
-        passage_id=bytes_in(fields, 0, size=PASSAGE_ID_BYTES, name="the passage id"),
-        section_id=checked_section_id(fields[1]),
-        map_version=digest_in(fields, 2, name="the map version"),
-        summary=KinematicSummary(
-            values=values,
-            table_digest=table_digest,
-            duration_s=int_in(fields, 5, name="the duration", reason=Reason.IMPOSSIBLE_DURATION) / 100,
-            quality=_QUALITIES[int_in(fields, 6, name="the quality", high=_ALL_QUALITY)],
-        ),
-        age_s=int_in(fields, 7, name="the age", reason=Reason.IMPOSSIBLE_AGE) / 100,
-    )
-
-
 # RECEIPT
 
 
@@ -431,6 +353,13 @@ def _receipt_to_fields(receipt: Receipt) -> Fields:
                 # It may quote what a stranger sent; nothing that a terminal obeys leaves or enters.
                 fields[3] = "".join(c if c.isprintable() else "?" for c in detail[:DETAIL_LIMIT_CHARS])
             return fields
+
+
+def _acceptance_at_once(receipt: Receipt) -> bytes | None:
+    outcome = receipt.outcome
+    if isinstance(outcome, Rejected) or outcome.flags > _ALL_NOT_COUNTED:
+        return None
+    return b"\xa2\x00\x50%b\x01%c" % (checked_passage_id(receipt.passage_id), outcome.flags)
 
 
 def _receipt_from_fields(value: object) -> Receipt:
@@ -448,16 +377,30 @@ def _receipt_from_fields(value: object) -> Receipt:
 
 
 class _Codec(NamedTuple):
+    """How one message is written and read.
+
+    What thousands pass in a second has a shorter way, which gives the same or nothing.
+    """
+
     to_fields: Callable[[Any], Fields]
     from_fields: Callable[[object], Any]
+    write_at_once: Callable[[Any], bytes | None] = lambda _: None
+    read_at_once: Callable[[bytes], Any] = lambda _: None
+
+    def written(self, message: Message) -> bytes:
+        return self.write_at_once(message) or strict_dumps(self.to_fields(message))
+
+    def read(self, content: bytes) -> Any:
+        message = self.read_at_once(content)
+        return self.from_fields(strict_loads(content)) if message is None else message
 
 
 _CODECS: Mapping[Kind, _Codec] = {
     Kind.ARRIVAL: _Codec(_arrival_to_fields, _arrival_from_fields),
     Kind.MAP: _Codec(map_to_fields, map_from_fields),
     Kind.ADVISORY: _Codec(_advisory_to_fields, _advisory_from_fields),
-    Kind.SUMMARY: _Codec(_summary_to_fields, _summary_from_fields),
-    Kind.RECEIPT: _Codec(_receipt_to_fields, _receipt_from_fields),
+    Kind.SUMMARY: _Codec(summary_to_fields, summary_from_fields, read_at_once=summary_at_once),
+    Kind.RECEIPT: _Codec(_receipt_to_fields, _receipt_from_fields, write_at_once=_acceptance_at_once),
     Kind.BEACON: _Codec(_beacon_to_fields, _beacon_from_fields),
     Kind.COOKIE: _Codec(_cookie_to_fields, _cookie_from_fields),
 }

@@ -11,7 +11,6 @@ messages, and turns what the unit says into frames again::
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -198,11 +197,10 @@ class FrameGateway:
         For who does not wait; see `settle`. After a failure of the unit, which the log has, there is nothing to send.
         """
 
-        def answer(future: asyncio.Future[Outcome]) -> None:
-            failed = future.cancelled() or future.exception() is not None
-            send(() if failed else self._receipt(passage, future.result()))
+        def answer(outcome: Outcome | Exception) -> None:
+            send(() if isinstance(outcome, Exception) else self._receipt(passage, outcome))
 
-        self._intake.offer(passage, via=via).add_done_callback(answer)
+        self._intake.offer(passage, via=via, answer=answer)
 
     def _receipt(self, passage: Passage, outcome: Outcome) -> tuple[OutFrames, ...]:
         exchange_id = exchange_id_of(passage.passage_id)

@@ -6,6 +6,9 @@ import ctypes
 import gc
 import sys
 
+GARBAGE_LOOK_COUNT = 20_000
+"""New objects after which cyclic garbage is looked for among them: some hundred requests or a thousand passages."""
+
 
 def give_back_freed_memory() -> None:
     """Hand what was freed and is kept for later back to the machine; nothing where the C library cannot.
@@ -28,3 +31,5 @@ def spare_what_stays() -> None:
     a tenth of a second each time, and passages wait.
     """
     gc.freeze()
+    # What a passage leaves behind stays for an hour, and none of it is cyclic.
+    gc.set_threshold(GARBAGE_LOOK_COUNT, 20, 20)

@@ -24,7 +24,7 @@ _log = structlog.get_logger("roadgrip")
 
 BATCH_COUNT = 128
 """Passages that are judged together at most: some milliseconds, in which the event loop does nothing else."""
-TURN_S = 0.02
+TURN_S = 0.1
 """A batch that takes longer than this, for the disk's sake, keeps the next from beginning no more."""
 
 
@@ -32,7 +32,7 @@ class _Waiting(NamedTuple):
     passage: Passage
     via: str
     since_s: float
-    answer: asyncio.Future[Outcome]
+    answer: Callable[[Outcome | Exception], object]
 
 
 class PassageIntake:
@@ -87,24 +87,32 @@ class PassageIntake:
             passage: What a vehicle claims.
             via: The transport, "udp", "http" or "json".
         """
-        return await self.offer(passage, via=via)
+        future: asyncio.Future[Outcome] = asyncio.get_running_loop().create_future()
 
-    def offer(self, passage: Passage, *, via: str) -> asyncio.Future[Outcome]:
-        """Return what will hold the outcome of a passage; arguments as for `receive`.
+        def answer(outcome: Outcome | Exception) -> None:
+            if future.done():  # whoever asked has stopped waiting
+                return
+            if isinstance(outcome, Exception):
+                future.set_exception(outcome)
+            else:
+                future.set_result(outcome)
 
-        Whoever cancels it hears no answer; the passage is stored and counted all the same.
+        self.offer(passage, via=via, answer=answer)
+        return await future
+
+    def offer(self, passage: Passage, *, via: str, answer: Callable[[Outcome | Exception], object]) -> None:
+        """Let `answer` hear once what became of a passage, or which bug it met; see `receive`.
+
+        For who does not wait: thousands of passages a second need no future each.
         """
-        loop = asyncio.get_running_loop()
-        answer: asyncio.Future[Outcome] = loop.create_future()
         waiting = _Waiting(passage, via, self._now_s(), answer)
         if self.full:
             self._tell(waiting, Rejected(Reason.BUSY, f"{self._limit_count} passages are in work"))
-            return answer
+            return
         self._in_flight_count += 1
         self._waiting.append(waiting)
         if self._turn is None:
-            self._turn = loop.call_soon(self._begin)
-        return answer
+            self._turn = asyncio.get_running_loop().call_soon(self._begin)
 
     def _begin(self) -> None:
         """Begin with a batch of those who wait; the next begins when it has ended, or takes too long."""
@@ -145,13 +153,17 @@ class PassageIntake:
         duration_s = self._now_s() - waiting.since_s
         self._metrics.ingest_duration.observe(duration_s)
         self.note(waiting.passage, outcome, via=waiting.via, duration_s=duration_s)
-        if not waiting.answer.done():
-            waiting.answer.set_result(outcome)
+        try:
+            waiting.answer(outcome)
+        except Exception as error:  # noqa: BLE001 - nor must an answer that cannot be written keep others from theirs
+            self._note_bug(waiting, error)
 
     def _fail(self, waiting: _Waiting, error: Exception) -> None:
+        self._note_bug(waiting, error)
+        waiting.answer(error)
+
+    def _note_bug(self, waiting: _Waiting, error: Exception) -> None:
         self._log.error("bug", passage=waiting.passage.passage_id.hex(), via=waiting.via, error=repr(error))
-        if not waiting.answer.done():
-            waiting.answer.set_exception(error)
 
     def note(self, passage: Passage, outcome: Outcome, *, via: str, duration_s: float = 0.0) -> None:
         """Count an outcome and write its canonical line."""

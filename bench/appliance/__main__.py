@@ -62,7 +62,9 @@ FULL = Effort(load.Effort(), load.Effort(measured_s=8.0), floors.Effort(), size.
 QUICK = Effort(
     load.Effort(warm_count=400, measured_s=2.0, paced_s=2.0, overload_s=1.0, after_s=3.0),
     load.Effort(warm_count=400, measured_s=2.0),
-    floors.Effort(echoes_count=20_000, requests_count=3_000, commits_count=40, model_s=0.2),
+    floors.Effort(
+        echoes_count=20_000, requests_count=3_000, commits_count=40, model_s=0.2, turn_count=1_000, turns_count=3
+    ),
     size.Effort(passages_count=4_000, blocks_count=4, idle_s=5.0, starts_count=1),
 )
 Measure = Callable[[Path, Effort, np.random.Generator], dict[str, Any]]
@@ -85,6 +87,7 @@ PARTS: dict[str, tuple[str, Measure]] = {
     "signed": ("signed passages over UDP", lambda f, e, rng: load.over_udp_signed(f, e.loaded, rng=rng)),
     "http": ("passages and reads over HTTP", lambda f, e, rng: load.over_http(f, e.loaded, rng=rng)),
     "floors": ("what the parts cost by themselves", lambda f, e, rng: floors.floors(f, e.bare, rng=rng)),
+    "bare": ("beside the barest server, in turns", lambda f, e, rng: floors.beside_bare(f, e.bare, rng=rng)),
     "peers": ("others that serve the same model", _peers),
     "window": ("a full window: cost, memory, idling", lambda f, e, rng: size.window_and_memory(f, e.needed, rng=rng)),
     "start": ("start to ready", lambda f, e, _: size.starts(f, e.needed)),

@@ -6,7 +6,7 @@ import sqlite3
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -17,7 +17,8 @@ import numpy as np
 from bench.appliance.http_load import ask, get
 from bench.appliance.passages import DEFAULT_BUNDLE, default_manifest, draw_batch, golden_drives
 from bench.appliance.processes import cpu_s, running, wait_until
-from bench.appliance.udp_load import ACCEPTED, exchange, line_to
+from bench.appliance.rsu import serving
+from bench.appliance.udp_load import ACCEPTED, Line, exchange, line_to
 from bench.measurement import cost_s
 from roadgrip.features import NEWEST_TABLE
 from rsu_app.adapters.store.connection import apply_writer_pragmas
@@ -25,6 +26,8 @@ from rsu_app.adapters.store.connection import apply_writer_pragmas
 ROWS_PER_COMMIT_COUNT = 100
 ROWS_TOGETHER_COUNT = 64
 ECHOES_OUTSTANDING_COUNT = 200
+BARE_TIMES = 4
+"""The barest server takes some times as many passages in a turn, or processor time would be told too coarsely."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,12 +38,16 @@ class Effort:
         echoes_count: Datagrams.
         requests_count: Requests.
         commits_count: Commits.
+        turn_count: Passages that the unit is sent in one turn beside the barest server.
+        turns_count: Such turns.
         model_s: For the model, each way.
     """
 
     echoes_count: int = 120_000
     requests_count: int = 30_000
     commits_count: int = 400
+    turn_count: int = 2_000
+    turns_count: int = 15
     model_s: float = 1.0
 
 
@@ -60,23 +67,64 @@ def floors(folder: Path, effort: Effort, *, rng: np.random.Generator) -> dict[st
     }
 
 
+def beside_bare(folder: Path, effort: Effort, *, rng: np.random.Generator) -> dict[str, Any]:
+    """Return what a passage costs the unit and what it costs the barest server, in turns.
+
+    The speed of a rented machine changes by the second, and what it does to one server it does to the other. So the
+    ratio of two costs says more than either; see `bench.appliance.floor_servers.BareUnit`.
+
+    Args:
+        folder: On the disk that databases lie on.
+        effort: How many turns there are.
+        rng: Draws passages.
+    """
+    ours, bare = folder / "unit", folder / "bare"
+    ours.mkdir()
+    bare.mkdir()
+    with ExitStack() as stack:
+        unit = stack.enter_context(serving(ours))
+        process_id, port = stack.enter_context(_server("passages", bare, bare / "floor.sqlite3"))
+        asked = (
+            (unit.process_id, stack.enter_context(line_to(unit.host, unit.udp_port)), effort.turn_count),
+            (process_id, stack.enter_context(line_to("127.0.0.1", port)), BARE_TIMES * effort.turn_count),
+        )
+        for _, line, count in asked:
+            _cost_us(process_id, line, 2 * count, rng=rng)
+        turns = [
+            [_cost_us(whose, line, count, rng=rng) for whose, line, count in asked] for _ in range(effort.turns_count)
+        ]
+    unit_us, bare_us = np.array(turns).T
+    return {
+        "turns_us": turns,
+        "unit_us": float(np.median(unit_us)),
+        "bare_us": float(np.median(bare_us)),
+        "times_bare": float(np.median(unit_us / bare_us)),
+        "unit_at_its_best_us": float(unit_us.min()),
+        "bare_at_its_best_us": float(bare_us.min()),
+    }
+
+
+def _cost_us(process_id: int, line: Line, passages_count: int, *, rng: np.random.Generator) -> float:
+    batch = draw_batch(passages_count, rng=rng)
+    frames, began_s = batch.frames(), cpu_s(process_id)
+    done = exchange(line, frames, batch.tag, outstanding_count=ECHOES_OUTSTANDING_COUNT)
+    return 1e6 * (cpu_s(process_id) - began_s) / done.count(ACCEPTED)
+
+
 @contextmanager
-def _server(kind: str, folder: Path) -> Iterator[tuple[int, int]]:
-    """Give the process id and the port of a server that does nothing."""
+def _server(kind: str, folder: Path, *arguments: Path) -> Iterator[tuple[int, int]]:
+    """Give the process id and the port of a server that does next to nothing."""
     log = folder / f"floor-{kind}.log"
     log.write_bytes(b"")
-    with running([sys.executable, "-m", "bench.appliance.floor_servers", kind], log=log) as process:
+    with running([sys.executable, "-m", "bench.appliance.floor_servers", kind, *arguments], log=log) as process:
         wait_until(lambda: log.read_bytes().endswith(b"\n"), process, log=log, limit_s=30.0)
         yield process.pid, int(log.read_text(encoding="ascii"))
 
 
 def _datagram_us(folder: Path, effort: Effort, *, rng: np.random.Generator) -> float:
-    warming, batch = (draw_batch(count, rng=rng) for count in (effort.echoes_count // 10, effort.echoes_count))
     with _server("datagrams", folder) as (process_id, port), line_to("127.0.0.1", port) as line:
-        exchange(line, warming.frames(), warming.tag, outstanding_count=ECHOES_OUTSTANDING_COUNT)
-        frames, began_s = batch.frames(), cpu_s(process_id)
-        done = exchange(line, frames, batch.tag, outstanding_count=ECHOES_OUTSTANDING_COUNT)
-        return 1e6 * (cpu_s(process_id) - began_s) / done.count(ACCEPTED)
+        _cost_us(process_id, line, effort.echoes_count // 10, rng=rng)
+        return _cost_us(process_id, line, effort.echoes_count, rng=rng)
 
 
 def _request_us(folder: Path, effort: Effort) -> float:

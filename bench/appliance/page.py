@@ -11,7 +11,7 @@ import numpy as np
 
 from bench.appliance.load import BIN_S, LATENCY_LIMIT_S, OVERLOAD_TIMES, PACE_PER_S
 from bench.appliance.peers import PEERS
-from bench.appliance.targets import IMPORT_MORE_S, MISSES, TARGETS, Target, ready_limit_s
+from bench.appliance.targets import IMPORT_MORE_S, MISSES, REFERENCE_BARE_PER_S, TARGETS, Target, ready_limit_s
 from bench.measurement import table_of
 from bench.validation.picture import OURS, THEORY, label, line, panels, write
 
@@ -64,6 +64,8 @@ def write_page(results: Mapping[str, Any], folder: Path) -> str:
             chapters.append(chapter(parts))
     if "floors" in parts:
         chapters.insert(3, _floors(parts))
+    if "bare" in parts:
+        chapters.insert(3, _bare(parts))
     chapters.append(_conditions(parts))
     if "udp" in parts:
         _draw_overload(parts["udp"]["overload"], folder)
@@ -121,6 +123,24 @@ def _settings() -> str:
         "few vehicles stand for many. All other limits, log and window are the defaults. Frames from this machine's "
         "own addresses do not count for `frames.frames_per_source_per_s`.\n"
     )
+
+
+def _bare(parts: Mapping[str, Any]) -> str:
+    bare = parts["bare"]
+    rate = 1e6 / bare["bare_us"]
+    return f"""## Beside the barest server
+
+The speed of a rented machine changes by the second: within these measurements the same passage cost the unit
+{bare["unit_at_its_best_us"]:.0f} µs in its best turn and {bare["unit_us"]:.0f} in the median. So the unit is measured
+in turns with a server that takes the same datagrams over uvloop, asks both models for groups of up to 128, keeps the
+bytes in SQLite with `synchronous=FULL` and answers, and does nothing else: no parsing, no checks, no memory, no window,
+no advice (`bench/appliance/floor_servers.py`). It takes {rate:,.0f} passages a second and core
+({bare["bare_us"]:.0f} µs each, {bare["bare_at_its_best_us"]:.0f} in its best turn); on the machine that the targets
+were set on it took {REFERENCE_BARE_PER_S:,.0f}. A passage costs the unit **{bare["times_bare"]:.1f} times**
+as much as it costs that server, the median of {len(bare["turns_us"])} turns. At the speed of that other
+machine this ratio means
+{REFERENCE_BARE_PER_S / bare["times_bare"]:,.0f} passages a second and core.
+"""
 
 
 def _floors(parts: Mapping[str, Any]) -> str:

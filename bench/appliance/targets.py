@@ -41,8 +41,21 @@ class Target:
         return f"{figure:{self.number_format}}{self.unit}"
 
 
+REFERENCE_BARE_PER_S = 11_700
+"""What the barest server took per second and core on the machine that the targets were set on.
+
+On another machine, or at another hour of a rented one, a target in passages per second says what the machine is worth;
+the ratio to the barest server, measured in turns with it, says what the unit is."""
 TARGETS = (
     Target("udp_passages_per_s_per_core", "passages over UDP", 5_000, at_least=True),
+    Target(
+        "udp_times_bare",
+        "cost of a passage against the barest server that asks the model and keeps the bytes",
+        REFERENCE_BARE_PER_S / 5_000,
+        at_least=False,
+        number_format=".1f",
+        unit="×",
+    ),
     Target("udp_signed_passages_per_s_per_core", "the same, signed both ways", 2_500, at_least=True),
     Target("p99_ms_at_1000", "last frame to receipt at 1,000/s, 99 %", 25, at_least=False, unit=" ms"),
     Target(
@@ -108,6 +121,8 @@ def ready_limit_s(parts: Figures) -> float:
 
 _FOUND: Mapping[str, Callable[[Figures], float | None]] = {
     "udp_passages_per_s_per_core": lambda p: p["udp"]["passages_per_s_per_core"],
+    "udp_times_bare": lambda p: p["bare"]["times_bare"],
+    "bare_passages_per_s_per_core": lambda p: 1e6 / p["bare"]["bare_us"],
     "udp_signed_passages_per_s_per_core": lambda p: p["signed"]["passages_per_s_per_core"],
     "udp_signed_new_certificate_per_s_per_core": lambda p: p["signed"]["certificate_never_seen"][
         "passages_per_s_per_core"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from bisect import bisect_left, insort
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,6 +16,7 @@ from roadgrip.units import FloatArray
 
 CAPACITY_COUNT = 256
 """Passages per feature table: enough to tell a major shift of a feature from chance."""
+_KNOWN = struct.Struct("<ff")
 _MU, _FLAGS, _VALUES = 0, 1, 2
 """Where a passage's numbers stand in its line."""
 
@@ -94,10 +96,9 @@ class FeatureWindow:
         """
         if not isfinite(left_at_s):
             raise ValueError(f"a passage at {left_at_s} s does not belong in a window")
-        known = (nan if mu is None else mu, float(flags.value))
-        line = np.concatenate([np.array(known, dtype="<f4"), np.asarray(values, dtype="<f4")])
+        line = _KNOWN.pack(nan if mu is None else mu, flags.value) + np.asarray(values, dtype="<f4").tobytes()
         held = self._by_time.setdefault(table_digest, [])
-        insort(held, (left_at_s, line.tobytes()))
+        insort(held, (left_at_s, line))
         if len(held) > self._capacity_count:
             held.pop(0)
 

@@ -9,7 +9,7 @@ from math import isfinite
 from roadgrip.bundle import ModelManifest
 from roadgrip.records import NotCounted
 from roadgrip.units import FloatArray
-from rsu_app.domain.plausibility import are_strange, estimate_flag
+from rsu_app.domain.plausibility import are_strange, estimate_flag, together
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +60,7 @@ def judgements(
 
 
 def _judged(mu: float, expected_error_ratio: float | None, manifest: ModelManifest, flags: NotCounted) -> Judgement:
-    flags = flags | estimate_flag(mu, manifest)
+    flags = together(flags, estimate_flag(mu, manifest))
     if not isfinite(mu):
         return Judgement(mu=None, flags=flags)
     if expected_error_ratio is None or manifest.conformal is None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -34,8 +35,18 @@ _ASCENDING = [_AT[name] for name in ("min", "q20", "q40", "median", "q60", "q80"
 
 def summary_values(summary: KinematicSummary) -> NDArray[np.float32]:
     """Return the values as they are judged, stored and given to the model: 32 bits. Too large becomes infinite. (k,)"""
-    with np.errstate(over="ignore"):
-        return np.array(summary.values, dtype=np.float32)
+    try:
+        # A third of the time that numpy takes to look through a tuple.
+        packed = _floats(len(summary.values)).pack(*summary.values)
+    except (OverflowError, struct.error):
+        with np.errstate(over="ignore"):
+            return np.array(summary.values, dtype=np.float32)
+    return np.frombuffer(packed, dtype=np.float32)
+
+
+@lru_cache(maxsize=8)
+def _floats(count: int) -> struct.Struct:
+    return struct.Struct(f"={count}f")
 
 
 def implausibility(
@@ -225,6 +236,11 @@ def estimate_flag(mu: float, manifest: ModelManifest) -> NotCounted:
     if isfinite(mu) and mu > 0.0 and low - margin <= mu <= high + margin:
         return NotCounted.NONE
     return NotCounted.ESTIMATE_OUT_OF_RANGE
+
+
+def together(one: NotCounted, other: NotCounted) -> NotCounted:
+    """Return what both say; mostly neither says anything, which the library takes a thousand instructions to find."""
+    return other if one is NotCounted.NONE else one if other is NotCounted.NONE else one | other
 
 
 def age_flag(age_s: float, *, window_s: float) -> NotCounted:

@@ -14,7 +14,7 @@ from roadgrip.units import WINDOW_S, BoolArray, FloatArray
 from rsu_app.domain.sorted_rows import SortedRows
 
 CAPACITY_COUNT = 100_000
-"""Estimates a window may hold, some 8 MB: four lanes at saturation give fewer than 10,000 vehicles an hour."""
+"""Estimates a window may hold, some 14 MB: four lanes at saturation give fewer than 10,000 vehicles an hour."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,8 +49,7 @@ class FrictionWindow:
     All times are seconds of one monotonic clock that the caller names; a step of the wall clock does not touch it.
 
     The estimates are kept twice, in the order of friction and in that of time: order statistics are an index away,
-    and the next to leave comes first. Both lie in blocks of a thousand, so that an estimate costs as much in a full
-    window as in an empty one.
+    and the next to leave comes first. An estimate costs as much in a full window as in an empty one.
 
     Args:
         window_s: How long an estimate counts.
@@ -84,7 +83,7 @@ class FrictionWindow:
     @property
     def oldest_left_at_s(self) -> float:
         """When the first vehicle of the window left the section; infinity when the window is empty."""
-        return float(self._by_time.first[0]) if self._by_time else inf
+        return self._by_time.first_number if self._by_time else inf
 
     @property
     def rows(self) -> WindowRows:
@@ -146,7 +145,7 @@ class FrictionWindow:
         """
         horizon_s = now_s - self.window_s
         dropped_count = 0
-        while self._by_time and self._by_time.first[0] < horizon_s:
+        while self._by_time and self._by_time.first_number < horizon_s:
             self._drop_oldest()
             dropped_count += 1
         return dropped_count

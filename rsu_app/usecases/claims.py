@@ -12,7 +12,7 @@ from roadgrip.errors import BundleError
 from roadgrip.reasons import Reason
 from roadgrip.records import Passage, Rejected
 from rsu_app.domain.judgement import Judgement
-from rsu_app.domain.plausibility import age_flag, implausibilities, summary_values
+from rsu_app.domain.plausibility import age_flag, implausibilities, summary_values, together
 from rsu_app.ports import FrictionModel, PassageEntry, StoredEstimate
 from rsu_app.usecases.recall import Marks, marks_of
 from rsu_app.usecases.section_state import SectionState
@@ -54,16 +54,16 @@ def claim_of(passage: Passage) -> Claim:
 def groups_of(places: Iterable[int], claims: Sequence[Claim], judges: Judges) -> Iterable[list[int]]:
     """Return the places of claims that the same models answer together: one feature table, and mostly all sections."""
     groups: dict[tuple[str, str | None, str | None], list[int]] = {}
+    shadow = None if judges.shadow is None else judges.shadow.model
+    group_of: dict[tuple[str, str], list[int]] = {}
     for i in places:
         passage = claims[i].passage
-        table_digest, section_id = passage.summary.table_digest, passage.section_id
-        shadow = None if judges.shadow is None else judges.shadow.model
-        key = (
-            table_digest,
-            _special_to(judges.live, table_digest, section_id),
-            _special_to(shadow, table_digest, section_id),
-        )
-        groups.setdefault(key, []).append(i)
+        asked = passage.summary.table_digest, passage.section_id
+        group = group_of.get(asked)
+        if group is None:
+            key = asked[0], _special_to(judges.live, *asked), _special_to(shadow, *asked)
+            group = group_of[asked] = groups.setdefault(key, [])
+        group.append(i)
     return groups.values()
 
 
@@ -134,7 +134,7 @@ def _entry(claim: Claim, heard: _Heard, place: int, *, unix_s: float, window_s: 
         content_digest=claim.marks.content_digest,
         values_digest=claim.marks.values_digest,
         mu=judged.mu,
-        flags=judged.flags | age_flag(passage.age_s, window_s=window_s),
+        flags=together(judged.flags, age_flag(passage.age_s, window_s=window_s)),
         left_unix_s=unix_s - passage.age_s,
         bundle_id=heard.bundle_id,
         expected_error_ratio=judged.expected_error_ratio,

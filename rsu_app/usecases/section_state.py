@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roadgrip.errors import BundleError, ConfigurationError
-from roadgrip.features import TABLES, road_features
+from roadgrip.features import TABLES, FeatureTable, road_features
 from roadgrip.records import Advisory, NotCounted
 from roadgrip.section import RoadSection
 from roadgrip.units import FloatArray
@@ -172,13 +172,18 @@ def _slowest_mps(passage: CountablePassage) -> float:
 def _profile_ratio(passage: CountablePassage) -> FloatArray | None:
     """Return the log likelihood of friction that a vehicle sent, None with a table that has none. (k,)"""
     places = _PROFILE_PLACES.get(passage.table_digest)
-    return passage.values[places].astype(np.float64) if places else None
+    return passage.values[places].astype(np.float64) if places is not None else None
 
 
-_PROFILE_PLACES = {
-    digest: [place for place, name in enumerate(table.names) if name.startswith("grip_profile_")]
-    for digest, table in TABLES.items()
-}
+def _profile_places(table: FeatureTable) -> slice | None:
+    """Return where a table holds the log likelihood, in one piece; None if it does not."""
+    places = [place for place, name in enumerate(table.names) if name.startswith("grip_profile_")]
+    if places and places != list(range(places[0], places[-1] + 1)):
+        raise ConfigurationError(f"feature table {table.digest} scatters its likelihood")
+    return slice(places[0], places[-1] + 1) if places else None
+
+
+_PROFILE_PLACES = {digest: _profile_places(table) for digest, table in TABLES.items()}
 
 
 def judged_values(

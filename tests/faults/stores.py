@@ -9,7 +9,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 
 from roadgrip.errors import StoreError
-from rsu_app.adapters.store import WriterLimits, open_store
+from rsu_app.adapters.store import open_store
 from tests.faults.machine import Machine, take_over
 from tests.faults.sabotage import break_unit
 from tests.faults.units import DATABASE_NAME, fork_context
@@ -62,7 +62,7 @@ def _serve(pipe: Connection, machine: Sequence[str], broken: str) -> None:
 
 
 async def _answer(pipe: Connection, database: Path) -> None:
-    store = open_store(database, limits=WriterLimits(linger_s=0.0))
+    store = open_store(database)
     pipe.send("open")
     while True:
         seeds = await asyncio.to_thread(pipe.recv)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,9 @@ from sqlalchemy.exc import IntegrityError
 from roadgrip.records import NotCounted
 from rsu_app.adapters.store.schema import PASSAGES, PROBES
 from rsu_app.ports import ArrivalKey, CountablePassage, PassageEntry, StoredEstimate
+
+PORTION_COUNT = 64
+"""Passages of one statement; SQLite binds 32,766 values, of which each passage takes twenty."""
 
 _P = PASSAGES.c
 _ESTIMATE_COLUMNS = (
@@ -37,37 +41,53 @@ def insert_entries(connection: Connection, entries: Sequence[PassageEntry]) -> l
     """Store what is new; return per entry None, or what is held already under its id or with its values.
 
     An entry also meets those before it in the same group. There is one writer, so nothing can come between the
-    question and the insert. Nearly always all are new, and the database itself says so: only if it refuses one is it
-    asked which are held.
+    question and the insert.
     """
-    if _inserted(connection, entries):
-        return [None] * len(entries)
-    held = _held(connection, entries)
     results: list[StoredEstimate | None] = []
-    fresh: list[PassageEntry] = []
-    for entry in entries:
+    for portion in portions(entries):
+        results += [None] * len(portion) if _inserted(connection, portion) else _inserted_if_new(connection, portion)
+    return results
+
+
+def portions(entries: Sequence[PassageEntry]) -> Iterator[Sequence[PassageEntry]]:
+    """Yield the entries in portions whose sizes are powers of two, the largest first.
+
+    So a handful of statements serve groups of any size, and each is parsed once.
+    """
+    start, size = 0, PORTION_COUNT
+    while start < len(entries):
+        while size > len(entries) - start:
+            size //= 2
+        yield entries[start : start + size]
+        start += size
+
+
+def _inserted(connection: Connection, portion: Sequence[PassageEntry]) -> bool:
+    """Return whether the passages are stored now, which they nearly always are; if one is held already, none is.
+
+    One statement for all: between two statements, or two rows of `executemany`, Python's lock goes to the thread that
+    answers vehicles, and under load it takes its time with giving it back.
+    """
+    values = [value for entry in portion for value in _passage_row(entry)]
+    try:
+        connection.exec_driver_sql(_insert_of(len(portion)), tuple(values))
+    except IntegrityError:
+        # Nothing else is caught: at a full disk SQLite has undone the whole transaction.
+        return False
+    return True
+
+
+def _inserted_if_new(connection: Connection, portion: Sequence[PassageEntry]) -> list[StoredEstimate | None]:
+    held = _held(connection, portion)
+    results: list[StoredEstimate | None] = []
+    for entry in portion:
         estimate = entry.estimate
         known = held.by_id.get(estimate.passage_id) or held.by_values.get(estimate.values_digest)
         if known is None:
             held.add(estimate)
-            fresh.append(entry)
+            connection.exec_driver_sql(_insert_of(1), _passage_row(entry))
         results.append(known)
-    if fresh:
-        connection.exec_driver_sql(_INSERT, [_passage_row(entry) for entry in fresh])
     return results
-
-
-def _inserted(connection: Connection, entries: Sequence[PassageEntry]) -> bool:
-    """Return whether all entries are stored now; if one was held already, none is."""
-    connection.exec_driver_sql("SAVEPOINT attempt")
-    try:
-        connection.exec_driver_sql(_INSERT, [_passage_row(entry) for entry in entries])
-    except IntegrityError:
-        # Nothing else is caught: at a full disk SQLite has undone the whole transaction, savepoint and all.
-        connection.exec_driver_sql("ROLLBACK TO attempt")
-        return False
-    connection.exec_driver_sql("RELEASE attempt")
-    return True
 
 
 @dataclass(frozen=True, slots=True)
@@ -209,15 +229,18 @@ def _estimate(row: Any) -> StoredEstimate:
 
 
 _INSERTED_COLUMNS = tuple(column.name for column in PASSAGES.columns if column is not _P.sequence_number)
-_INSERT = (
+
+
+@cache
+def _insert_of(rows_count: int) -> str:
     # Handed to the driver as it stands: this is the one statement that thousands of passages a second go through.
-    f"INSERT INTO {PASSAGES.name} ({', '.join(_INSERTED_COLUMNS)}) "  # noqa: S608 - names of our own schema only
-    f"VALUES ({', '.join('?' for _ in _INSERTED_COLUMNS)})"
-)
+    row = f"({', '.join('?' for _ in _INSERTED_COLUMNS)})"
+    rows = ", ".join([row] * rows_count)
+    return f"INSERT INTO {PASSAGES.name} ({', '.join(_INSERTED_COLUMNS)}) VALUES {rows}"  # noqa: S608 - our own names
 
 
 def _passage_row(entry: PassageEntry) -> tuple[Any, ...]:
-    """Return what `_INSERT` binds, in the order of the table's columns; a test holds the two together."""
+    """Return what `_insert_of` binds for a passage, in the order of its columns; a test holds the two together."""
     passage, estimate = entry.passage, entry.estimate
     return (
         passage.passage_id,

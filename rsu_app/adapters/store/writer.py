@@ -32,9 +32,6 @@ Entries: TypeAlias = Sequence[PassageEntry]
 Work: TypeAlias = Callable[[Connection], Any]
 """Something to be done in a transaction of its own."""
 
-_NAP_S = 0.0005
-"""While a group waits for company."""
-
 
 @dataclass(frozen=True, slots=True)
 class WriterLimits:
@@ -43,17 +40,14 @@ class WriterLimits:
     Attributes:
         queue_count: Passages and other writes that may wait; what comes then is refused.
         group_count: Passages from which a commit takes no more.
-        linger_s: How long the first passage of a group waits for company. While a commit runs the next group gathers
-            by itself, so this matters only under light load; it spares flash memory some commits.
     """
 
     queue_count: int = 2048
     group_count: int = 256
-    linger_s: float = 0.002
 
     def __post_init__(self) -> None:
-        if self.queue_count < 1 or self.group_count < 1 or not 0.0 <= self.linger_s <= 1.0:
-            raise ConfigurationError("the writer needs room for a write and must not linger for more than a second")
+        if self.queue_count < 1 or self.group_count < 1:
+            raise ConfigurationError("the writer needs room for a write")
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,23 +160,17 @@ class Writer:
         return last is not None
 
     def _gather(self) -> list[_Job | None]:
-        """Return passages that wait, at least one job; anything but passages ends the group."""
+        """Return passages that wait, at least one job; anything but passages ends the group.
+
+        Nobody is waited for: what comes during the commit is the next group.
+        """
         jobs = [self._take()]
-        deadline_s = time.monotonic() + self._limits.linger_s
         gathered_count = 0
         while (last := jobs[-1]) is not None and last.entries is not None:
             gathered_count += len(last.entries)
-            if gathered_count >= self._limits.group_count:
+            if gathered_count >= self._limits.group_count or self._queue.empty():
                 break
-            if self._queue.empty():
-                # Slept, not waited for in `get`: CPython's takes a time that ran out on its way for one without end,
-                # and the passage in hand would wait for the next vehicle.
-                left_s = deadline_s - time.monotonic()
-                if left_s <= 0.0:
-                    break
-                time.sleep(min(left_s, _NAP_S))
-            else:
-                jobs.append(self._take())
+            jobs.append(self._take())
         return jobs
 
     def _take(self) -> _Job | None:

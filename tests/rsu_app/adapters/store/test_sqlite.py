@@ -25,7 +25,7 @@ def path(tmp_path):
 
 @asynccontextmanager
 async def opened(path, *, size_limit_bytes=None, **limits):
-    store = open_store(path, limits=WriterLimits(**({"linger_s": 0.0} | limits)), size_limit_bytes=size_limit_bytes)
+    store = open_store(path, limits=WriterLimits(**limits), size_limit_bytes=size_limit_bytes)
     try:
         yield store
     finally:
@@ -120,17 +120,17 @@ def test_repetitions_meet_within_one_group_too(path):
     entries = [make_entry(seed) for seed in (1, 2, 1, 3, 2, 1)]
 
     async def story():
-        async with opened(path, linger_s=0.2, group_count=6) as store:
-            answers = await asyncio.gather(*(store.append([entry]) for entry in entries))
-            assert [answer == [None] for answer in answers] == [True, True, False, True, False, False]
-            assert answers[5] == [entries[0].estimate]
+        async with opened(path) as store:
+            answers = await store.append(entries)
+            assert [answer is None for answer in answers] == [True, True, False, True, False, False]
+            assert answers[5] == entries[0].estimate
 
     asyncio.run(story())
 
 
 def test_many_senders_at_once_share_commits(path):
     async def story():
-        async with opened(path, linger_s=0.05, group_count=64) as store:
+        async with opened(path, group_count=64) as store:
             await asyncio.gather(*(store.append([make_entry(seed)]) for seed in range(200)))
             assert (await store.counts()).passages_count == 200
 
@@ -144,19 +144,6 @@ def test_loading_gives_the_newest_oldest_first(path):
                 await store.append([make_entry(seed, received_unix_s=NOON_UNIX_S + 60.0 * minutes)])
             loaded = await store.load(since_unix_s=NOON_UNIX_S + 120.0, limit_count=3)
             assert [passage.estimate.left_unix_s - NOON_UNIX_S for passage in loaded] == [180.0, 240.0, 300.0]
-
-    asyncio.run(story())
-
-
-def test_a_group_that_fails_fails_for_all_of_its_senders(path):
-    async def story():
-        async with opened(path, linger_s=0.2, group_count=4) as store:
-            broken = make_entry(passage=make_passage(SECTION, seed=9, passage_id=b"short"))
-            entries = [make_entry(1), broken, make_entry(2), make_entry(3)]
-            answers = await asyncio.gather(*(store.append([entry]) for entry in entries), return_exceptions=True)
-            assert [type(answer) for answer in answers] == [StoreError] * 4
-            assert await load_all(store) == []
-            assert await store.append([entries[0]]) == [None]
 
     asyncio.run(story())
 
@@ -175,7 +162,7 @@ def test_a_sender_that_hangs_up_does_not_stop_the_writer(path):
 
 def test_closing_writes_what_waits_and_then_refuses(path):
     async def story():
-        store = open_store(path, limits=WriterLimits(linger_s=0.05))
+        store = open_store(path)
         waiting = [asyncio.create_task(store.append([make_entry(seed)])) for seed in range(20)]
         await asyncio.sleep(0)
         await store.close()
@@ -337,7 +324,7 @@ def test_any_file_name_will_do(tmp_path, name):
     assert open_and_close(tmp_path / "new folder" / name) == ()
 
 
-@pytest.mark.parametrize("limits", [{"queue_count": 0}, {"group_count": 0}, {"linger_s": -1.0}, {"linger_s": 5.0}])
+@pytest.mark.parametrize("limits", [{"queue_count": 0}, {"group_count": 0}])
 def test_limits_that_cannot_work_are_refused(limits):
     with pytest.raises(ConfigurationError):
         WriterLimits(**limits)

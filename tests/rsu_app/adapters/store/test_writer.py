@@ -12,7 +12,8 @@ from roadgrip.errors import StoreError, StoreFullError
 from rsu_app.adapters.store import WriterLimits, upgrade
 from rsu_app.adapters.store.connection import writing_engine
 from rsu_app.adapters.store.writer import Writer
-from tests.rsu_app.adapters.store.stories import make_entry
+from tests.rsu_app.adapters.store.stories import SECTION, make_entry
+from tests.rsu_app.fakes import make_passage
 
 PATIENCE_S = 60.0
 
@@ -25,7 +26,7 @@ def path(tmp_path):
 
 @asynccontextmanager
 async def writing(path, **limits):
-    writer = Writer(writing_engine(path), WriterLimits(**({"linger_s": 0.0} | limits)))
+    writer = Writer(writing_engine(path), WriterLimits(**limits))
     try:
         yield writer
     finally:
@@ -75,7 +76,7 @@ def test_passages_that_wait_share_a_commit(path):
     async def story():
         engine = writing_engine(path)
         event.listen(engine, "commit", commits.append)
-        writer = Writer(engine, WriterLimits(group_count=25, linger_s=0.0))
+        writer = Writer(engine, WriterLimits(group_count=25))
         release, holding = await hold_up(writer)
         waiting = [asyncio.create_task(writer.submit([make_entry(seed)])) for seed in range(50)]
         await asyncio.sleep(0)
@@ -87,6 +88,24 @@ def test_passages_that_wait_share_a_commit(path):
     # One that held the writer up, two full groups.
     assert len(commits) == 3
     assert passages_count(path) == 50
+
+
+def test_a_group_that_fails_fails_for_all_of_its_senders(path):
+    async def story():
+        async with writing(path) as writer:
+            broken = make_entry(passage=make_passage(SECTION, seed=9, passage_id=b"short"))
+            entries = [make_entry(1), broken, make_entry(2), make_entry(3)]
+            release, holding = await hold_up(writer)
+            waiting = [asyncio.create_task(writer.submit([entry])) for entry in entries]
+            await asyncio.sleep(0)
+            release.set()
+            await holding
+            answers = await asyncio.gather(*waiting, return_exceptions=True)
+            assert [type(answer) for answer in answers] == [StoreError] * 4
+            assert passages_count(path) == 0
+            assert await writer.submit([entries[0]]) == [None]
+
+    asyncio.run(story())
 
 
 def test_nothing_is_answered_before_its_commit(path):
@@ -161,7 +180,7 @@ def test_work_that_fails_half_way_leaves_nothing_behind(path):
 
 def test_a_loop_that_is_gone_does_not_stop_the_writer(path):
     async def story():
-        writer = Writer(writing_engine(path), WriterLimits(linger_s=0.0))
+        writer = Writer(writing_engine(path), WriterLimits())
         release, holding = await hold_up(writer)
         waiting = asyncio.create_task(writer.submit([make_entry(1)]))
         await asyncio.sleep(0)
