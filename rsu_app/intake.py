@@ -168,7 +168,9 @@ class PassageIntake:
     def note(self, passage: Passage, outcome: Outcome, *, via: str, duration_s: float = 0.0) -> None:
         """Count an outcome and write its canonical line."""
         if isinstance(outcome, Accepted):
-            verdict, reason = "counted" if outcome.counted else "uncounted", flag_names(outcome.flags)
+            # Compared with `is`: a flag's own ways of being asked take longer than all else here.
+            counted = outcome.flags is NotCounted.NONE
+            verdict, reason = ("counted", "") if counted else ("uncounted", flag_names(outcome.flags))
             if isinstance(outcome, AcceptedAgain):
                 verdict = "repeated"
         else:

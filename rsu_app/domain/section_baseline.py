@@ -70,9 +70,9 @@ class SectionBaseline:
             mu: Its estimate, finite and above zero.
 
         Raises:
-            ValueError: The time, the estimate or a value is no such number.
+            ValueError: The time or the estimate is no such number, or a value of a passage that is of use.
         """
-        if not (isfinite(left_at_s) and isfinite(mu) and mu > 0.0 and np.isfinite(values).all()):
+        if not (isfinite(left_at_s) and isfinite(mu) and mu > 0.0):
             raise ValueError(f"a passage with the estimate {mu} at {left_at_s} s teaches nothing")
         number = band_of(mu)
         if number in self._closed:
@@ -81,6 +81,8 @@ class SectionBaseline:
         spell = floor(left_at_s / SPELL_S)
         if band.taken_count[spell] >= self._spell_rows_count:
             return False
+        if not np.isfinite(values).all():
+            raise ValueError("a passage whose values are no numbers teaches nothing")
         band.taken_count[spell] += 1
         band.rows.append(np.array(values, dtype=np.float32))
         if len(band.rows) >= self._band_rows_count:

@@ -67,7 +67,7 @@ class DriftWatch:
         estimate = passage.estimate
         if estimate.bundle_id != self._bundle_id or passage.table_digest not in TABLES:
             return
-        if estimate.flags == NotCounted.NONE or NotCounted.OUT_OF_ENVELOPE in estimate.flags:
+        if estimate.flags is NotCounted.NONE or NotCounted.OUT_OF_ENVELOPE in estimate.flags:
             self._window.add(
                 left_at_s=left_at_s,
                 table_digest=passage.table_digest,
@@ -116,7 +116,7 @@ class DriftWatch:
 
     def _learn(self, passage: CountablePassage) -> None:
         estimate, digest = passage.estimate, passage.table_digest
-        counts = estimate.flags == NotCounted.NONE and estimate.mu is not None and estimate.mu > 0.0
+        counts = estimate.flags is NotCounted.NONE and estimate.mu is not None and estimate.mu > 0.0
         if counts and estimate.bundle_id == self._bundle_id and digest in TABLES:
             baseline = self._baselines.setdefault(digest, SectionBaseline())
             # Hours are told apart by the wall clock, which means the same after a restart.

@@ -143,7 +143,7 @@ def count_passage(state: SectionState, passage: CountablePassage, *, left_at_s: 
     """
     estimate, window_s = passage.estimate, state.window.window_s
     memory_s = window_s if state.watch is None else state.watch.memory_s
-    if not 0.0 <= age_s <= memory_s or estimate.mu is None or estimate.flags != NotCounted.NONE:
+    if not 0.0 <= age_s <= memory_s or estimate.mu is None or estimate.flags is not NotCounted.NONE:
         return False
     if state.watch is not None and not estimate.at_least:
         state.watch.add(left_at_s=left_at_s, mu=estimate.mu)
@@ -165,8 +165,11 @@ def count_passage(state: SectionState, passage: CountablePassage, *, left_at_s: 
 
 def _slowest_mps(passage: CountablePassage) -> float:
     """Return how slowly a vehicle drove where it was slowest, NaN with a table that nobody knows any more."""
-    table = TABLES.get(passage.table_digest)
-    return nan if table is None else float(passage.values[table.index("speed_min_mps")])
+    place = _SLOWEST_PLACES.get(passage.table_digest)
+    return nan if place is None else float(passage.values[place])
+
+
+_SLOWEST_PLACES = {digest: table.index("speed_min_mps") for digest, table in TABLES.items()}
 
 
 def _profile_ratio(passage: CountablePassage) -> FloatArray | None:
