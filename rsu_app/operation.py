@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Iterable
 from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
@@ -34,12 +34,17 @@ PATIENCE_S = 3.0
 """What a status waits for the database: a technician wants to be told of a disk that hangs, not to hang with it."""
 
 
-def control_desk(parts: Parts) -> ControlDesk:
-    """Return what takes the orders for a running unit."""
+def control_desk(parts: Parts, *, door_checks: Callable[[], Iterable[Check]] = tuple) -> ControlDesk:
+    """Return what takes the orders for a running unit.
+
+    Args:
+        parts: Of the unit.
+        door_checks: Tells the conditions of its door to the network, if it has one.
+    """
     return ControlDesk(
         rollout=parts.rollout,
         source_of=lambda address: source_of(parts.settings, address, clock=parts.clock),
-        status=lambda: unit_status(parts),
+        status=lambda: unit_status(parts, door_checks=door_checks()),
     )
 
 
@@ -84,12 +89,17 @@ def checked_source(settings: Settings, address: str) -> str:
     return address
 
 
-async def unit_status(parts: Parts) -> dict[str, Any]:
-    """Return everything an operator looks at, as JSON has it; within seconds, whatever the disk does."""
+async def unit_status(parts: Parts, *, door_checks: Iterable[Check] = ()) -> dict[str, Any]:
+    """Return everything an operator looks at, as JSON has it; within seconds, whatever the disk does.
+
+    Args:
+        parts: Of the unit.
+        door_checks: Conditions that belong to its readiness besides its own.
+    """
     unit, rollout = parts.unit, parts.rollout.status
     if parts.signs.take_turn(DRIFT_LOOK_PERIOD_S):
         await unit.watch_drift()
-    readiness = await _readiness(parts)
+    readiness = Readiness((*(await _readiness(parts)).checks, *door_checks))
     manifest = unit.model_manifest
     return {
         "version": software_version(),

@@ -118,7 +118,7 @@ async def _run(settings: Settings) -> None:
         spare_what_stays()
         await stack.enter_async_context(_chores(parts, endpoint, server, manager, door))
         if control is not None:
-            await stack.enter_async_context(_control(parts, control))
+            await stack.enter_async_context(_control(parts, control, door))
         _stop_on_signals(server)
         await server.serve(sockets=[listener])
         _log.info("stopping")
@@ -235,10 +235,12 @@ def _control_listener(settings: Settings) -> socket.socket | None:
 
 
 @asynccontextmanager
-async def _control(parts: Parts, listener: socket.socket) -> AsyncIterator[None]:
+async def _control(parts: Parts, listener: socket.socket, door: Door) -> AsyncIterator[None]:
     """Take orders of operators on this machine while the unit runs."""
     server = HttpServer(
-        create_control_app(control_desk(parts)),
+        create_control_app(
+            control_desk(parts, door_checks=lambda: door.checks(now_unix_s=parts.clock.unix_s())),
+        ),
         limits=ConnectionLimits(connections_count=CONTROL_CONNECTIONS_COUNT),
         shutdown_s=parts.settings.http.shutdown_s,
         on_start=lambda: None,

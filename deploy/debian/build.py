@@ -280,8 +280,10 @@ def _surroundings(tree: Path, contents: list[dict[str, Any]]) -> None:
     _copy(FILES / "roadgrip-rsu", tree / "usr/bin/roadgrip-rsu", mode=0o755)
     documents = tree / DOCUMENTS
     _copy(FILES / "copyright", documents / "copyright")
-    for page in ("install.md", "backup.md"):
+    for page in ("install.md", "backup.md", "roadside.md", "monitoring.md"):
         _copy(ROOT / "docs" / page, documents / page)
+    for example in ("prometheus.yml", "roadgrip.rules.yml", "roadgrip.dashboard.json"):
+        _copy(ROOT / "deploy" / "monitoring" / example, documents / "examples" / example)
     _copy(ROOT / "deploy" / "rsu.example.toml", documents / "examples" / "rsu.example.toml")
     (documents / "settings.md").write_text(settings_table(), encoding="utf-8")
     (documents / "contents.json").write_text(json.dumps(contents, indent=1) + "\n", encoding="utf-8")

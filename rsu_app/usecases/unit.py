@@ -104,7 +104,8 @@ class RoadSideUnit:
         self._pending: set[asyncio.Task[list[Outcome]]] = set()
         self._restored = False
         self._restoring = Restoring(store, limit_count=self._limits.restored_count)
-        self._model_noted = False
+        # What the store said of itself when the live model was noted there: after damage it is another.
+        self._model_noted_in: tuple[str, ...] | None = None
         self._states = section_states(
             sections,
             policy=policy or AdvisoryPolicy(),
@@ -160,7 +161,7 @@ class RoadSideUnit:
             StoreError: The store cannot be read.
         """
         counted_count = 0 if self._restored else await self.restore()
-        if not self._model_noted:
+        if self._model_noted_in != self._store.notes:
             await self._note_live_model()
         return counted_count
 
@@ -339,7 +340,7 @@ class RoadSideUnit:
         """
         check_golden(model)
         self._model = model
-        self._model_noted = False
+        self._model_noted_in = None
         self._watch_drift()
         self.refresh()
 
@@ -376,7 +377,7 @@ class RoadSideUnit:
                 )
         except StoreError:
             return
-        self._model_noted = manifest is self.model_manifest
+        self._model_noted_in = self._store.notes if manifest is self.model_manifest else None
 
     async def prune(self) -> int:
         """Return how many passages were deleted to stay within the store's budget.

@@ -111,10 +111,7 @@ class FakeStore:
         self.gate: asyncio.Event | None = None
         self.closed = False
         self.pulse = WriterPulse(committed_ago_s=1.0, busy_s=0.0, queued_count=0)
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        return ()
+        self.notes: tuple[str, ...] = ()
 
     async def append(self, entries: Sequence[PassageEntry]) -> list[StoredEstimate | None]:
         await self._write()

@@ -12,6 +12,7 @@ from rsu_app.observability import Metrics
 from rsu_app.operation import one_line, unit_status
 from rsu_app.ports import WriterPulse
 from rsu_app.settings import load_settings
+from rsu_app.usecases import Check
 from tests.bundles import make_bundle
 from tests.rsu_app.fakes import FakeStore
 
@@ -50,6 +51,21 @@ def test_a_status_is_json_and_holds_all_that_an_operator_looks_at(config):
     assert said["disk"]["passages_count"] == 0
     assert said["disk"]["free_bytes"] > 0
     assert said["sections"][0]["confidence"] == "insufficient"
+
+
+def test_a_condition_of_the_door_is_one_of_the_unit_s(config):
+    trouble = Check("operators", ok=False, detail="the file with the tokens cannot be read")
+
+    async def story():
+        parts = parts_of(config)
+        try:
+            return await unit_status(parts, door_checks=[trouble])
+        finally:
+            await parts.unit.close()
+
+    said = asyncio.run(story())
+    assert not said["ready"]
+    assert {"name": "operators", "ok": False, "required": True, "detail": trouble.detail} in said["conditions"]
 
 
 def test_the_status_of_a_unit_whose_disk_hangs_does_not_hang_with_it(config):

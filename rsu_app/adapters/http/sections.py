@@ -183,13 +183,15 @@ async def passage_answered(site: Site, section_id: str, passage: PassageModel, *
     Raises:
         ProblemError: It is refused.
     """
-    if not site.gateway.is_allowed(sender):
-        raise refusal(Reason.RATE_LIMITED, "more passages a second than one address may send")
     record = passage.to_record(section_id)
-    if site.signatures_required:
-        outcome = Rejected(Reason.UNSIGNED, "JSON cannot be signed; send frames to /v1/frames")
-        site.intake.note(record, outcome, via="json")
-        raise refusal(outcome.reason, outcome.detail)
+    early: Rejected | None = None
+    if not site.gateway.is_allowed(sender):
+        early = Rejected(Reason.RATE_LIMITED, "more passages a second than one address may send")
+    elif site.signatures_required:
+        early = Rejected(Reason.UNSIGNED, "JSON cannot be signed; send frames to /v1/frames")
+    if early is not None:
+        site.intake.note(record, early, via="json")
+        raise refusal(early.reason, early.detail)
     answer = await site.intake.receive(record, via="json")
     if isinstance(answer, Rejected):
         raise refusal(answer.reason, answer.detail)

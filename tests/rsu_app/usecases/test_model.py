@@ -80,6 +80,19 @@ def test_a_unit_that_restarts_often_says_once_which_model_is_live():
     asyncio.run(story())
 
 
+def test_a_ledger_that_was_begun_anew_after_damage_is_told_which_model_is_live():
+    async def story():
+        site = Site()
+        await site.unit.catch_up()
+        del site.store.ledger_entries[1:]
+        site.store.notes = ("the database was damaged; a fresh one was begun",)
+        for _ in range(3):
+            await site.unit.catch_up()
+        assert told_live(site) == [site.model.manifest.bundle_id]
+
+    asyncio.run(story())
+
+
 @pytest.mark.parametrize("action", [Action.SWITCHED, Action.ROLLED_BACK])
 def test_a_model_whose_going_live_was_recorded_as_a_step_is_not_told_again(action):
     async def story():

@@ -13,6 +13,7 @@ from roadgrip.section_file import section_from_json
 from roadgrip.wire import decode_message
 from rsu_app.adapters.http.models import refined_model
 from rsu_app.domain.pooling import RefinedInterval
+from rsu_app.sender_guards import SenderGuards
 from tests.rsu_app.fakes import make_passage, make_section
 from tests.rsu_app.sites import UnitUnderTest, make_unit, passage_json
 
@@ -33,6 +34,24 @@ def asked(under_test: UnitUnderTest, path: str, *, method: str = "GET", **argume
             return await client.request(method, path, **arguments)
 
     return asyncio.run(ask())
+
+
+def test_json_beyond_the_limit_of_an_address_is_refused_and_counted_as_a_passage():
+    under_test = make_unit(section=SECTION, guards=SenderGuards(frames_per_s=1.0))
+
+    async def ask(transport):
+        async with httpx.AsyncClient(transport=transport, base_url="http://unit") as client:
+            return [
+                await client.post(f"{HERE}/passages", json=passage_json(make_passage(SECTION, seed=seed)))
+                for seed in (1, 2)
+            ]
+
+    # From elsewhere: this machine's own addresses are not counted.
+    answers = asyncio.run(ask(httpx.ASGITransport(under_test.app, client=("192.0.2.7", 4000))))
+    assert [answer.status_code for answer in answers] == [200, 429]
+    assert answers[1].json()["reason"] == "rate_limited"
+    labels = {"section": SECTION.section_id, "outcome": "rejected", "reason": "rate_limited", "via": "json"}
+    assert under_test.count("roadgrip_passages_total", **labels) == 1.0
 
 
 def test_the_listing_says_where_to_go():
