@@ -69,7 +69,7 @@ class _Counter(Counter):
 
 
 class _Histogram(Collector):
-    """A histogram of one series; the library's own takes as long for one measurement as decoding a passage.
+    """A histogram of one series of durations; the library's own takes as long to count one as decoding a passage does.
 
     Args:
         name: Of the metric.
@@ -84,10 +84,10 @@ class _Histogram(Collector):
         self._counts = [0] * (len(limits) + 1)
         self._sum = 0.0
 
-    def observe(self, amount: float) -> None:
+    def observe(self, took_s: float) -> None:
         """Count a measurement."""
-        self._counts[bisect_left(self._limits, amount)] += 1
-        self._sum += amount
+        self._counts[bisect_left(self._limits, took_s)] += 1
+        self._sum += took_s
 
     def collect(self) -> Iterable[Metric]:
         """Return the buckets as they stand."""

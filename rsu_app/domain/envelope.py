@@ -30,7 +30,7 @@ class PreparedEnvelope:
         upper: (d,)
         cut_ratio: As in the record.
         whitening_ratio: Of all kinds beside each other. (d, k * d)
-        middle_whitened: What becomes of the middle of each kind. (k * d,)
+        middle_whitened_ratio: What becomes of the middle of each kind. (k * d,)
         height_level: Logarithm of share times density in the middle of each kind, of scaled features. (k,)
         limit_level: As in the record.
     """
@@ -40,7 +40,7 @@ class PreparedEnvelope:
     upper: FloatArray
     cut_ratio: float
     whitening_ratio: FloatArray
-    middle_whitened: FloatArray
+    middle_whitened_ratio: FloatArray
     height_level: FloatArray
     limit_level: float
 
@@ -68,7 +68,7 @@ def prepared(envelope: DrivingEnvelope, feature_names: Sequence[str]) -> Prepare
         upper=np.asarray(envelope.upper, dtype=np.float64),
         cut_ratio=envelope.cut_ratio,
         whitening_ratio=np.ascontiguousarray(whitening.reshape(-1, whitening.shape[2]).T),
-        middle_whitened=np.einsum("kij,kj->ki", whitening, np.asarray(envelope.middle_ratio)).reshape(-1),
+        middle_whitened_ratio=np.einsum("kij,kj->ki", whitening, np.asarray(envelope.middle_ratio)).reshape(-1),
         height_level=np.asarray(height_level, dtype=np.float64),
         limit_level=envelope.limit_level,
     )
@@ -100,7 +100,7 @@ def _strangeness_level(rows: FloatArray, envelope: PreparedEnvelope) -> FloatArr
     values = scaled_ratio(rows[:, envelope.places], lower=envelope.lower, upper=envelope.upper)
     np.clip(values, -envelope.cut_ratio, envelope.cut_ratio, out=values)
     # (n, k * d): one product for all kinds, since a few rows cost as many products as many.
-    away = values @ envelope.whitening_ratio - envelope.middle_whitened
+    away = values @ envelope.whitening_ratio - envelope.middle_whitened_ratio
     squared = np.square(away, out=away).reshape(len(rows), len(envelope.height_level), -1).sum(axis=2)
     log_density = envelope.height_level - 0.5 * squared
     highest = log_density.max(axis=1)

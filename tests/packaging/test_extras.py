@@ -39,6 +39,8 @@ EXTRAS = {
     "demo": (("roadgrip", "rsu_app", "vehicle_client"), {"xgboost", "sklearn", "pyarrow"}),
 }
 
+QUICK = {"rsu", "vehicle", ""}
+"""What runs at the roadside and in cars is tried on every change; the others' import takes up to a minute each."""
 VEHICLE_LIMIT_MB = 150.0
 
 IMPORT_ALL = """
@@ -70,7 +72,11 @@ def assert_imports_alone(environment, packages, absent, *, cwd: Path) -> None:
     assert there == [], "a role installs what it does not need"
 
 
-@pytest.mark.parametrize("role", ROLES)
+def slow_ones_long(names):
+    return [name if name in QUICK else pytest.param(name, marks=pytest.mark.long) for name in names]
+
+
+@pytest.mark.parametrize("role", slow_ones_long(ROLES))
 def test_a_role_imports_alone_from_its_lock(locked_environment, tmp_path, role):
     packages, absent = ROLES[role]
     assert_imports_alone(locked_environment(role), packages, absent, cwd=tmp_path)
@@ -112,14 +118,19 @@ def test_a_lock_satisfies_what_its_extra_asks_for(project_root, role):
     assert not unsatisfied
 
 
-@pytest.mark.parametrize("extra", EXTRAS)
+@pytest.mark.parametrize("extra", slow_ones_long(EXTRAS))
 def test_an_extra_imports_alone(extra_environment, tmp_path, extra):
     packages, absent = EXTRAS[extra]
     assert_imports_alone(extra_environment(extra), packages, absent, cwd=tmp_path)
 
 
 @pytest.mark.parametrize(
-    ("role", "script"), [("rsu", "roadgrip-rsu"), ("vehicle", "roadgrip-vehicle"), ("training", "roadgrip-train")]
+    ("role", "script"),
+    [
+        ("rsu", "roadgrip-rsu"),
+        ("vehicle", "roadgrip-vehicle"),
+        pytest.param("training", "roadgrip-train", marks=pytest.mark.long),
+    ],
 )
 def test_the_console_script_of_a_role_explains_itself(locked_environment, tmp_path, role, script):
     done = locked_environment(role).run(script, "--help", cwd=tmp_path)

@@ -127,7 +127,7 @@ def test_the_page_on_vehicles_goes_from_a_can_log_to_a_sent_summary(project_root
 
 
 @pytest.mark.system
-@pytest.mark.parametrize("speed_kmh", [100, 90, 110])
+@pytest.mark.parametrize("speed_kmh", [100, *(pytest.param(speed, marks=pytest.mark.long) for speed in (90, 110))])
 def test_the_page_on_vehicles_draws_two_drives(project_root, tmp_path, speed_kmh):
     block = block_with(project_root / "docs" / "vehicle.md", "--second-friction")
     assert "--speed 100 " in block
@@ -162,6 +162,7 @@ def test_the_page_on_the_http_interface_sends_a_passage(project_root, tmp_path):
     assert '"reason":"winter_speed_few_vehicles"' in answers
 
 
+@pytest.mark.long
 @pytest.mark.system
 def test_the_page_on_the_laboratory_ends_with_a_bundle_a_unit_takes(project_root, tmp_path):
     four_steps = block_with(project_root / "docs" / "laboratory.md", "roadgrip-train export")
@@ -171,6 +172,7 @@ def test_the_page_on_the_laboratory_ends_with_a_bundle_a_unit_takes(project_root
     assert "roadgrip-global" in checked
 
 
+@pytest.mark.long
 @pytest.mark.system
 def test_the_page_on_other_peoples_drives_writes_some_and_evaluates_them(project_root, tmp_path):
     page = project_root / "docs" / "evaluate.md"

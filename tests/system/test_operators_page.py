@@ -68,6 +68,7 @@ def lines_of(page: Path) -> list[str]:
     return [line for line in shown.replace("\\\n", " ").splitlines() if line.strip()]
 
 
+@pytest.mark.long
 def test_the_operator_s_year_goes_as_the_page_says(project_root, tmp_path):
     page = project_root / "docs" / "operators.md"
     lines = lines_of(page)

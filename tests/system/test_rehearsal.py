@@ -19,7 +19,7 @@ ROOT = Path(__file__).parents[2]
 
 @pytest.mark.system
 @pytest.mark.sim
-@pytest.mark.long  # the operators' page plays the same commands; `make mlops-demo` plays this
+@pytest.mark.long  # `make mlops-demo` plays this
 @pytest.mark.timeout(900)
 def test_the_operators_loop_goes_as_promised(tmp_path):
     done = subprocess.run(
@@ -50,6 +50,7 @@ def test_only_what_a_rehearsal_left_is_thrown_away(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == [MARK]
 
 
+@pytest.mark.long
 def test_a_command_that_fails_is_shown_with_what_it_said(tmp_path):
     shown: list[str] = []
     with WarmPrograms() as programs:

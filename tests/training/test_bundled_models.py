@@ -21,6 +21,8 @@ from training.export import PARITY_TOLERANCE_MU, check_parity, onnx_estimate_mu,
 from training.fit_parameters import FitParameters, Target
 from training.regressor import estimate_mu, grow_trees
 
+pytestmark = pytest.mark.xdist_group("table-models")  # its fixtures take most of the time
+
 CONFORMAL = Conformal(coverage_frac=0.9, quantile=1.8, doubtful_above_ratio=0.3)
 LOG = FitParameters(trees_count=30, target=Target.LOG_MU)
 PLAIN = FitParameters(trees_count=30)

@@ -129,8 +129,9 @@ def is_free(port: int) -> bool:
     return True
 
 
+@pytest.mark.long
 @pytest.mark.system
-@pytest.mark.parametrize("ending", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.long)])
+@pytest.mark.parametrize("ending", [signal.SIGINT, signal.SIGTERM])
 def test_mlflows_pages_answer_until_they_are_ended(lab: Laboratory, ending: signal.Signals) -> None:
     assert ModelRegister(address=local_address(lab.folder)).versions("none") == []
     port = free_port()

@@ -119,6 +119,7 @@ def test_a_law_that_holds_everywhere_is_found_on_unseen_roads_too() -> None:
     assert mape_ratio_on_unseen_roads(runs, QUICK) < 1.3 * fitted.metrics["mape_ratio"]
 
 
+@pytest.mark.long
 def test_a_law_that_every_road_has_for_itself_is_not() -> None:
     runs = on_many_roads(made_up_runs(1500), roads_count=15)
     road = np.array([int(name[-2:]) for name in runs.section_id])
@@ -207,6 +208,7 @@ def test_rows_that_tell_little_weigh_little(target: Target) -> None:
     assert weight[~noisy].mean() > 1.5 * weight[noisy].mean()
 
 
+@pytest.mark.long
 def test_weights_by_certainty_make_what_can_be_known_better_known() -> None:
     features, label_mu, _ = half_in_noise(3000)
     fresh = made_up_runs(1000, seed=5)

@@ -207,6 +207,7 @@ def test_killed_in_the_middle_of_a_file_it_goes_on_and_gives_what_was_to_be_give
     assert 0 < seen[-1].driven_now_count < len(whole)
 
 
+@pytest.mark.long
 @pytest.mark.system
 @pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="finds child processes through /proc")
 def test_workers_do_not_outlive_a_command_that_is_killed(tmp_path: Path, project_root: Path) -> None:

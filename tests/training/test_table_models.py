@@ -36,6 +36,8 @@ from training.table_models import (
     steps_count,
 )
 
+pytestmark = pytest.mark.xdist_group("table-models")  # its fixtures take most of the time
+
 RUNS = runs_of_many_roads(1200)
 DRIVES = learned_drives(RUNS, seed=1)
 FRESH = runs_of_many_roads(400, seed=3, first_road_number=50)

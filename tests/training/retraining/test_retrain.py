@@ -95,6 +95,7 @@ def test_the_same_data_give_the_same_bundle_in_any_order(stocked, tmp_path):
         assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "other" / name).read_bytes()
 
 
+@pytest.mark.long
 def test_other_data_another_seed_and_other_trees_give_other_bundles(stocked, tmp_path):
     ids = {
         made(stocked, tmp_path / "a", "roads").bundle_id,

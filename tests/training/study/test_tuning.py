@@ -15,6 +15,8 @@ from training.study.recipes import Recipe
 from training.study.tuning import FOLDS_COUNT, MOST_TREES_COUNT, Tuned, document_of, grounds_of, tune
 from vehicle_client.simulator.plan import SensorGrade
 
+pytestmark = pytest.mark.xdist_group("tuning")  # its fixtures take most of the time
+
 IDEAL, AUTOMOTIVE = SensorGrade.IDEAL, SensorGrade.AUTOMOTIVE
 FEATURES = ("grip_all_best_mu", "demand_q100_mu", "speed_mean_mps")
 # One tree that hardly corrects anything: easy to better.
