@@ -108,6 +108,9 @@ class _Regressor:
         options.inter_op_num_threads = 1
         # Threads that wait by spinning burn most of a core on an idle unit.
         options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+        # Memory that a batch took is not kept for the next: the few arrays of one are no work for the C library.
+        options.enable_cpu_mem_arena = False
+        options.enable_mem_pattern = False
         # Warnings about graph details are for the laboratory.
         options.log_severity_level = 3
         try:
