@@ -11,7 +11,7 @@ messages, and turns what the unit says into frames again::
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from typing import NamedTuple
 
 import structlog
@@ -189,7 +189,16 @@ class FrameGateway:
 
     async def settle(self, passage: Passage, *, via: str) -> tuple[OutFrames, ...]:
         """Return the receipt of a passage, after the commit that holds it; nothing if the budget is used up."""
-        return self._receipt(passage, await self._intake.receive(passage, via=via))
+        return await self.settling(passage, via=via)
+
+    def settling(self, passage: Passage, *, via: str) -> Awaitable[tuple[OutFrames, ...]]:
+        """Return what waits for the receipt of a passage, which is in work from now on; see `settle`."""
+        outcome = self._intake.expect(passage, via=via)
+
+        async def receipt() -> tuple[OutFrames, ...]:
+            return self._receipt(passage, await outcome)
+
+        return receipt()
 
     def settle_later(self, passage: Passage, *, via: str, send: Callable[[tuple[OutFrames, ...]], object]) -> None:
         """Hand the receipt of a passage to `send`, once, after the commit that holds it.

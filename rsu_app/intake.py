@@ -87,6 +87,10 @@ class PassageIntake:
             passage: What a vehicle claims.
             via: The transport, "udp", "http" or "json".
         """
+        return await self.expect(passage, via=via)
+
+    def expect(self, passage: Passage, *, via: str) -> asyncio.Future[Outcome]:
+        """Return what will hold the outcome of a passage, which is in work from now on; see `receive`."""
         future: asyncio.Future[Outcome] = asyncio.get_running_loop().create_future()
 
         def answer(outcome: Outcome | Exception) -> None:
@@ -98,7 +102,7 @@ class PassageIntake:
                 future.set_result(outcome)
 
         self.offer(passage, via=via, answer=answer)
-        return await future
+        return future
 
     def offer(self, passage: Passage, *, via: str, answer: Callable[[Outcome | Exception], object]) -> None:
         """Let `answer` hear once what became of a passage, or which bug it met; see `receive`.

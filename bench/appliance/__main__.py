@@ -26,10 +26,9 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from bench.appliance import floors, load, size
+from bench.appliance import beside_peers, floors, load, size
 from bench.appliance.conditions import conditions
 from bench.appliance.page import write_page
-from bench.appliance.peers import PEERS, measure_peer
 from bench.appliance.processes import loading_core
 from bench.appliance.targets import TARGETS, headline
 from bench.measurement import keep_figures
@@ -47,21 +46,21 @@ class Effort:
 
     Attributes:
         loaded: Passages and reads.
-        compared: The unit beside its peers, which are measured for as long.
+        compared: The unit beside its peers.
         bare: What parts cost by themselves.
         needed: Memory, starts, idling.
     """
 
     loaded: load.Effort
-    compared: load.Effort
+    compared: beside_peers.Effort
     bare: floors.Effort
     needed: size.Effort
 
 
-FULL = Effort(load.Effort(), load.Effort(measured_s=8.0), floors.Effort(), size.Effort())
+FULL = Effort(load.Effort(), beside_peers.Effort(), floors.Effort(), size.Effort())
 QUICK = Effort(
     load.Effort(warm_count=400, measured_s=2.0, paced_s=2.0, overload_s=1.0, after_s=3.0),
-    load.Effort(warm_count=400, measured_s=2.0),
+    beside_peers.Effort(turn_s=0.3, turns_count=2),
     floors.Effort(
         echoes_count=20_000, requests_count=3_000, commits_count=40, model_s=0.2, turn_count=1_000, turns_count=3
     ),
@@ -70,25 +69,13 @@ QUICK = Effort(
 Measure = Callable[[Path, Effort, np.random.Generator], dict[str, Any]]
 
 
-def _peers(folder: Path, effort: Effort, rng: np.random.Generator) -> dict[str, Any]:
-    compared = effort.compared
-    ours = load.ways_in(folder, compared, rng=rng)
-    return {
-        "ours": ours,
-        "peers": {
-            peer.key: measure_peer(peer, folder, warm_count=compared.warm_count // 10, measured_s=compared.measured_s)
-            for peer in PEERS
-        },
-    }
-
-
 PARTS: dict[str, tuple[str, Measure]] = {
     "udp": ("passages over UDP, latency, overload", lambda f, e, rng: load.over_udp(f, e.loaded, rng=rng)),
     "signed": ("signed passages over UDP", lambda f, e, rng: load.over_udp_signed(f, e.loaded, rng=rng)),
     "http": ("passages and reads over HTTP", lambda f, e, rng: load.over_http(f, e.loaded, rng=rng)),
     "floors": ("what the parts cost by themselves", lambda f, e, rng: floors.floors(f, e.bare, rng=rng)),
     "bare": ("beside the barest server, in turns", lambda f, e, rng: floors.beside_bare(f, e.bare, rng=rng)),
-    "peers": ("others that serve the same model", _peers),
+    "peers": ("others that serve the same model", lambda f, e, rng: beside_peers.beside_peers(f, e.compared, rng=rng)),
     "window": ("a full window: cost, memory, idling", lambda f, e, rng: size.window_and_memory(f, e.needed, rng=rng)),
     "start": ("start to ready", lambda f, e, _: size.starts(f, e.needed)),
     "install": ("installed size", lambda f, _, __: size.install(f)),

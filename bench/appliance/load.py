@@ -88,23 +88,12 @@ def over_http(folder: Path, effort: Effort, *, rng: np.random.Generator) -> dict
     """Return how many passages the unit takes over HTTP, as frames and as JSON, and how many reads it answers."""
     with serving(folder) as unit:
         figures: dict[str, Any] = {"connections_count": CONNECTIONS_COUNT}
-        figures["frames"] = _asked(unit, effort, lambda n: _frame_requests(n, rng=rng), is_good=_holds_receipt)
-        figures["json"] = _asked(unit, effort, lambda n: _json_requests(n, rng=rng))
+        figures["frames"] = _asked(unit, effort, lambda n: frame_requests(n, rng=rng), is_good=holds_receipt)
+        figures["json"] = _asked(unit, effort, lambda n: json_requests(n, rng=rng))
         for name in ("advisory", "map"):
             figures[name] = _asked(unit, effort, lambda n, name=name: _reads((name,), n))  # type: ignore[misc]
         figures["reads"] = _asked(unit, effort, lambda n: _reads(("advisory", "map"), n))
         return figures
-
-
-def ways_in(folder: Path, effort: Effort, *, rng: np.random.Generator) -> dict[str, Any]:
-    """Return what a passage takes over UDP, as frames and as JSON, in one short run, to be compared with others."""
-    with serving(folder) as unit, line_to(unit.host, unit.udp_port) as line:
-        return {
-            "udp": _at_its_own_pace(unit, line, effort, rng=rng),
-            "http_frames": _asked(unit, effort, lambda n: _frame_requests(n, rng=rng), is_good=_holds_receipt),
-            "http_json": _asked(unit, effort, lambda n: _json_requests(n, rng=rng)),
-            "resident_mb": unit.resident_mb,
-        }
 
 
 def _at_its_own_pace(
@@ -283,11 +272,13 @@ def request_figures(done: Answers, *, cpu_s: float, loading_s: float, request: b
     }
 
 
-def _frame_requests(count: int, *, rng: np.random.Generator) -> list[bytes]:
+def frame_requests(count: int, *, rng: np.random.Generator) -> list[bytes]:
+    """Return requests that each bring a new passage as the frame of the radio."""
     return [post("/v1/frames", frame, media_type=FRAMES_MEDIA_TYPE) for frame in draw_batch(count, rng=rng).frames()]
 
 
-def _json_requests(count: int, *, rng: np.random.Generator) -> list[bytes]:
+def json_requests(count: int, *, rng: np.random.Generator) -> list[bytes]:
+    """Return requests that each bring a new passage as JSON."""
     return [
         post(f"/v1/sections/{section_id}/passages", body, media_type="application/json")
         for section_id, body in draw_batch(count, rng=rng).json_bodies()
@@ -299,7 +290,7 @@ def _reads(names: tuple[str, ...], count: int) -> list[bytes]:
     return [get(paths[number % len(paths)]) for number in range(count)]
 
 
-def _holds_receipt(answer: bytes) -> bool:
+def holds_receipt(answer: bytes) -> bool:
     """Return whether the one frame in the body is the receipt of an accepted passage."""
     with suppress(IndexError):
         return is_ok(answer) and verdict_of(answer.partition(b"\r\n\r\n")[2]) == ACCEPTED

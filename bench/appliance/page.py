@@ -287,21 +287,21 @@ def _request_row(name: str, figures: Mapping[str, Any]) -> dict[str, str | float
 
 def _peers(parts: Mapping[str, Any]) -> str:
     compared, ours = parts["peers"], parts["peers"]["ours"]
-    rates = {
-        "roadgrip, UDP (another transport)": ours["udp"]["passages_per_s_per_core"],
-        "roadgrip, HTTP, frames": ours["http_frames"]["requests_per_s_per_core"],
-        "roadgrip, HTTP, JSON": ours["http_json"]["requests_per_s_per_core"],
+    names = {
+        "udp": "roadgrip, UDP (another transport)",
+        "http": "roadgrip, HTTP, frames",
+        "http_json": "roadgrip, HTTP, JSON",
     }
     measured = [(peer, compared["peers"][peer.key]) for peer in PEERS if peer.key in compared["peers"]]
     known = [(peer, figures) for peer, figures in measured if "requests_per_s_per_core" in figures]
     rows: list[dict[str, str | float]] = [
         {
             "server": name,
-            "a second and core": f"{rate:,.0f}",
-            **{f"times {peer.name}": f"{rate / figures['requests_per_s_per_core']:.1f}" for peer, figures in known},
+            "a second and core": f"{ours['per_s_per_core'][way]:,.0f}",
+            **{f"times {peer.name}": f"{compared['times'][way][peer.key]:.1f}" for peer, _ in known},
             "memory, MB": f"{ours['resident_mb']:.0f}",
         }
-        for name, rate in rates.items()
+        for way, name in names.items()
     ]
     rows += [
         {
@@ -323,9 +323,9 @@ def _peers(parts: Mapping[str, Any]) -> str:
 
 In the same run, the packaged friction model behind servers that only infer: they check nothing, store nothing and ask
 no second model. Same core, same connections, one row of the same width to a request, processor time of all their
-processes; each answered the golden row right before it was measured. Over UDP the unit uses another transport; HTTP
-against
-HTTP is the fair line. The targets take its frames, which is what a vehicle sends; with
+processes; each answered the golden row right before it was measured. All run at once and are asked in
+{len(compared["turns_us"])} turns; the factors are medians of the turns. Over UDP the unit uses another transport; HTTP
+against HTTP is the fair line. The targets take its frames, which is what a vehicle sends; with
 JSON on both sides the factor is that of the third line.
 
 {table_of(rows, number_format="")}

@@ -14,17 +14,17 @@ import subprocess
 import sys
 import time
 import urllib.request
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from bench.appliance.http_load import ask, post
-from bench.appliance.load import request_figures
+from bench.appliance.http_load import post
 from bench.appliance.passages import DEFAULT_BUNDLE, default_manifest
-from bench.appliance.processes import cpu_s, resident_mb, running, wait_until
+from bench.appliance.processes import running, wait_until
 from roadgrip.features import NEWEST_TABLE
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -219,28 +219,46 @@ def installed(peer: Peer) -> Path:
     return place / "venv" / "bin"
 
 
-def measure_peer(peer: Peer, folder: Path, *, warm_count: int, measured_s: float) -> dict[str, Any]:
-    """Return what a peer takes and needs, or why it could not be measured.
+@dataclass(frozen=True, slots=True)
+class RunningPeer:
+    """A peer that answers the golden row right.
+
+    Attributes:
+        process_id: Of its first process.
+        port: Where it listens.
+        requests: What it is asked, again and again.
+        ready_s: From its start to the first answer that it is ready.
+        versions: Of its libraries.
+    """
+
+    process_id: int
+    port: int
+    requests: Sequence[bytes]
+    ready_s: float
+    versions: Mapping[str, str]
+
+
+def not_measured(peer: Peer, error: Exception) -> str:
+    """Return why a peer could not be measured, for the results; all of it goes to who runs this."""
+    print(f"{peer.name}: {error}", file=sys.stderr)
+    if isinstance(error, subprocess.SubprocessError):
+        return "it could not be prepared"
+    # The first line, which names no place of this machine.
+    return (str(error).splitlines() or [type(error).__name__])[0][:200]
+
+
+@contextmanager
+def running_peer(peer: Peer, folder: Path) -> Iterator[RunningPeer]:
+    """Give a peer that serves the packaged friction model.
 
     Args:
         peer: Which.
         folder: For its files.
-        warm_count: Requests before.
-        measured_s: How long is measured.
+
+    Raises:
+        RuntimeError: It cannot be installed, does not start, or does not answer what the model says.
+        OSError, ValueError, subprocess.SubprocessError: The same.
     """
-    figures: dict[str, Any] = {"name": peer.name, "setting": peer.setting}
-    try:
-        return figures | _measured(peer, folder, warm_count=warm_count, measured_s=measured_s)
-    except subprocess.SubprocessError as error:
-        print(f"{peer.name}: {error}", file=sys.stderr)
-        return figures | {"not_measured": "it could not be prepared"}
-    except (RuntimeError, OSError, ValueError) as error:
-        # All of it for who runs this; the results get the first line, which names no place of this machine.
-        print(f"{peer.name}: {error}", file=sys.stderr)
-        return figures | {"not_measured": (str(error).splitlines() or [type(error).__name__])[0][:200]}
-
-
-def _measured(peer: Peer, folder: Path, *, warm_count: int, measured_s: float) -> dict[str, Any]:
     programs, port = installed(peer), free_port()
     place = folder / peer.key
     place.mkdir()
@@ -266,29 +284,14 @@ def _measured(peer: Peer, folder: Path, *, warm_count: int, measured_s: float) -
                 check=True,
                 timeout=INSTALL_S,
             )
-    rows = np.asarray(model.golden.rows, dtype=np.float32)
-    bodies = _bodies(peer, rows)
+    requests = _bodies(peer, np.asarray(model.golden.rows, dtype=np.float32))
     log, (program, *rest) = place / "log", peer.command(port)
     began_s = time.perf_counter()
     with running([programs / program, *rest], log=log, environment=variables, cwd=place) as process:
         wait_until(lambda: _answers(port, peer.health_path), process, log=log, limit_s=START_S)
         ready_s = time.perf_counter() - began_s
-        _check_answer(peer, port, bodies[0], expected_mu=model.golden.mu[0])
-        warmed = ask(HOST, port, bodies, requests_count=warm_count)
-        if not warmed.good_count:
-            raise RuntimeError(f"no request was answered: {warmed.first_bad[:300]!r}")
-        wanted_count = max(200, int(warmed.good_per_s * measured_s))
-        began_cpu_s, began_own_s = cpu_s(process.pid), time.process_time()
-        done = ask(HOST, port, bodies, requests_count=wanted_count)
-        took_cpu_s, took_own_s = cpu_s(process.pid) - began_cpu_s, time.process_time() - began_own_s
-        memory_mb = resident_mb(process.pid)
-    return {
-        **request_figures(done, cpu_s=took_cpu_s, loading_s=took_own_s, request=bodies[0]),
-        "resident_mb": memory_mb,
-        "ready_s": ready_s,
-        "versions": _versions(programs / "python"),
-        "answers_agree": True,
-    }
+        _check_answer(peer, port, requests[0], expected_mu=model.golden.mu[0])
+        yield RunningPeer(process.pid, port, requests, ready_s, _versions(programs / "python"))
 
 
 def _bodies(peer: Peer, golden_rows: np.ndarray[Any, np.dtype[np.float32]]) -> list[bytes]:

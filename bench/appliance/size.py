@@ -24,8 +24,8 @@ from bench.appliance.rsu import Unit, serving
 from bench.appliance.udp_load import ACCEPTED, exchange, line_to
 from bench.speed.footprint import installed
 
-SETTLE_S = 10.0
-"""After the last passage, before the unit counts as idle."""
+SETTLE_S = 75.0
+"""After the last passage, before the unit counts as idle: once a minute it looks at what came, for drift."""
 _BYTES_PER_MB = 1e6
 _IMPORT_ALL = """
 import contextlib, importlib, sys

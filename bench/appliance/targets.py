@@ -104,12 +104,8 @@ def headline(parts: Figures) -> dict[str, float]:
             continue
         if found is not None:
             figures[key] = found
-    compared = parts.get("peers", {})
-    for peer in PEERS:
-        theirs = compared.get("peers", {}).get(peer.key, {}).get("requests_per_s_per_core")
-        if theirs:
-            for key, ours in _OURS.items():
-                figures[f"{key}_times_{peer.key}"] = ours(compared["ours"]) / theirs
+    for way, times in parts.get("peers", {}).get("times", {}).items():
+        figures |= {f"{way}_times_{key}": ratio for key, ratio in times.items()}
     return figures
 
 
@@ -138,9 +134,4 @@ _FOUND: Mapping[str, Callable[[Figures], float | None]] = {
     "ready_s": lambda p: p["start"]["ready_s"],
     "import_s": lambda p: p["start"]["import_s"],
     "install_mb": lambda p: p["install"]["install_mb"],
-}
-_OURS: Mapping[str, Callable[[Figures], float]] = {
-    "http": lambda ours: ours["http_frames"]["requests_per_s_per_core"],
-    "http_json": lambda ours: ours["http_json"]["requests_per_s_per_core"],
-    "udp": lambda ours: ours["udp"]["passages_per_s_per_core"],
 }

@@ -8,6 +8,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 import numpy as np
 import pytest
 
+from bench.appliance.beside_peers import times_of
 from bench.appliance.http_load import ask, get, is_whole, post
 from bench.appliance.load import BIN_S, recovered_after_s
 from bench.appliance.page import filled, targets_table
@@ -182,12 +183,12 @@ def test_requests_that_are_refused_are_counted_and_the_first_is_shown():
     assert get("/map").startswith(b"GET /map HTTP/1.1\r\n")
 
 
-def test_peers_are_held_against_what_was_measured_beside_them():
-    ours = {"http_frames": {"requests_per_s_per_core": 1600.0}, "http_json": {"requests_per_s_per_core": 1200.0}}
-    ours["udp"] = {"passages_per_s_per_core": 4000.0}
-    peers = {"mlserver": {"requests_per_s_per_core": 400.0}, "bentoml": {"not_measured": "no network"}}
-    figures = headline({"peers": {"ours": ours, "peers": peers}})
-    assert figures == {"http_times_mlserver": 4.0, "http_json_times_mlserver": 3.0, "udp_times_mlserver": 10.0}
+def test_peers_are_held_against_what_was_measured_in_the_same_turn():
+    # The same servers, while the machine was fast, slow and very slow.
+    costs = {"udp": 200.0, "http": 500.0, "http_json": 400.0, "mlserver": 2_000.0}
+    turns = [{name: cost * slow for name, cost in costs.items()} for slow in (1.0, 2.5, 4.0)]
+    figures = headline({"peers": {"times": times_of(turns, ["mlserver"])}})
+    assert figures == {"http_times_mlserver": 4.0, "http_json_times_mlserver": 5.0, "udp_times_mlserver": 10.0}
 
 
 def test_the_table_says_what_was_met_missed_and_not_measured():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from http import HTTPStatus
 from typing import Annotated
 
@@ -76,11 +75,10 @@ async def frames_answered(site: Site, body: bytes, *, sender: Sender) -> Respons
         raise refusal(error.reason, error.detail) from error
     # Each is heard before any of them is settled: a body waits for one commit, and not for one per passage.
     heard = [site.gateway.take(datagram, via=VIA, sender=sender) for datagram in datagrams]
-    passages = [taken.passage for taken in heard if taken.passage is not None]
-    receipts = iter(await asyncio.gather(*(site.gateway.settle(passage, via=VIA) for passage in passages)))
+    settled = [None if taken.passage is None else site.gateway.settling(taken.passage, via=VIA) for taken in heard]
     answers: list[OutFrames] = []
-    for taken in heard:
-        answers += taken.replies if taken.passage is None else next(receipts)
+    for taken, receipt in zip(heard, settled, strict=True):
+        answers += taken.replies if receipt is None else await receipt
     for message in answers:
         site.metrics.frames_sent.count(VIA, message.name, by=len(message.frames))
     return Response(join_frames(f for m in answers for f in m.frames), media_type=FRAMES_MEDIA_TYPE)
