@@ -15,6 +15,8 @@ from tests.faults.units import FragileUnit
 
 PAGE_BYTES, LOG_HEAD_BYTES = 4096, 32
 FRAME_BYTES = 24 + PAGE_BYTES
+LOGGED_COUNT = 5
+"""Commits that a log holds before it is spoilt between the first and the last."""
 FILLED_COUNT = 60
 
 
@@ -114,6 +116,10 @@ def _filled(stage: Stage, found: Finding, *, killed: bool) -> tuple[Traffic, Pat
         with traffic.driving(unit):
             found.expect(traffic.wait_for(FILLED_COUNT), "nothing was acknowledged before the fault")
             if killed:
+                log = unit.database.with_name(unit.database.name + "-wal")
+                # What arrives together shares a commit, however many that are.
+                while len(_commits(log.read_bytes())) < LOGGED_COUNT:
+                    found.expect(traffic.wait_for(len(traffic.acknowledged) + 1), "nothing more was acknowledged")
                 unit.kill()
         if not killed:
             unit.stop()
