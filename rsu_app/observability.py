@@ -69,7 +69,7 @@ class _Counter(Counter):
 
 
 class _Histogram(Collector):
-    """A histogram of one series of durations; the library's own takes as long to count one as decoding a passage does.
+    """A histogram of one series of durations; the library's own goes through its buckets one by one for each.
 
     Args:
         name: Of the metric.

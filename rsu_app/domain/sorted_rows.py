@@ -22,7 +22,7 @@ class SortedRows:
     newest take as long with a hundred thousand rows as with a thousand.
 
     A row is kept as bytes that are ordered as its numbers are, so that finding its place is a few comparisons of
-    memory: a fifth of what it takes in an array, and less than half the memory of as many Python records.
+    memory, and takes less than half the memory of a Python record.
 
     Args:
         columns_count: Numbers of a row, two at least.

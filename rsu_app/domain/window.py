@@ -14,7 +14,7 @@ from roadgrip.units import WINDOW_S, BoolArray, FloatArray
 from rsu_app.domain.sorted_rows import SortedRows
 
 CAPACITY_COUNT = 100_000
-"""Estimates a window may hold, some 14 MB: four lanes at saturation give fewer than 10,000 vehicles an hour."""
+"""Estimates a window may hold, some 12 MB: four lanes at saturation give fewer than 10,000 vehicles an hour."""
 
 
 @dataclass(frozen=True, slots=True)
