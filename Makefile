@@ -69,7 +69,7 @@ mlops-demo: $(STAMP) ## Watch the operators' loop from nothing: train, judge, si
 real-input: $(STAMP) ## Real roads and a recorded race car through the whole system (needs ../shared/data, or ARGS="--data DIR")
 	@$(BIN)/python -m deploy.demo.real_input $(ARGS)
 
-test: $(COMPILED) ## Run the tests (two workers, some 12 minutes on two cores)
+test: $(COMPILED) ## Run the tests (two workers; 16 minutes on two slow cores)
 	@$(BIN)/python -m pytest -n $(WORKERS) --dist loadgroup $(ARGS)
 
 test-fast: $(STAMP) ## Run the tests that start no processes, for a quick answer while working
