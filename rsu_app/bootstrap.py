@@ -201,11 +201,13 @@ def open_door(settings: Settings) -> Door:
     """
     from rsu_app.adapters.http.access import OperatorAccess
     from rsu_app.adapters.http.door import Door
-    from rsu_app.adapters.http.tls import ServerTls, TlsFiles
 
     http = settings.http
     tls = None
     if http.tls_certificate_file is not None and http.tls_key_file is not None:
+        # 9 MB that a unit without a certificate does not carry.
+        from rsu_app.adapters.http.tls import ServerTls, TlsFiles
+
         tls = ServerTls(TlsFiles(http.tls_certificate_file, http.tls_key_file, http.client_authorities_file))
     return Door(OperatorAccess(settings.operators.tokens_file), tls)
 

@@ -14,6 +14,8 @@ CARRIED_FOR_NOTHING = (
     {"alembic", "mako"},
     # Commands and pictures for a terminal.
     {"typer", "rich", "pygments", "matplotlib"},
+    # Signatures and TLS, until somebody names a key.
+    {"cryptography"},
     # Signed updates, until somebody names a repository.
     {"tuf", "securesystemslib", "requests", "urllib3"},
     # The laboratory, and the other end of the air.

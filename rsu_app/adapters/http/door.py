@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import structlog
 
 from rsu_app.adapters.http.access import OperatorAccess
-from rsu_app.adapters.http.tls import ServerTls
 from rsu_app.usecases import Check
+
+if TYPE_CHECKING:
+    from rsu_app.adapters.http.tls import ServerTls
 
 _log = structlog.get_logger("roadgrip")
 
