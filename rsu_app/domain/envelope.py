@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -132,8 +133,13 @@ def is_strange_road(rows: FloatArray, ordinary: OrdinaryDriving, feature_names: 
         ordinary: Roads and driving that the model was made for.
         feature_names: Of the columns of the rows.
     """
-    names = tuple(feature_names)
-    return outside_box(rows[:, [names.index(name) for name in ordinary.road_columns]], ordinary.road)
+    return outside_box(rows[:, _places(ordinary.road_columns, tuple(feature_names))], ordinary.road)
+
+
+@lru_cache(maxsize=16)
+def _places(wanted_names: tuple[str, ...], feature_names: tuple[str, ...]) -> NDArray[np.intp]:
+    # Once for each model: looking names up takes longer than all that is asked of a single row.
+    return np.array([feature_names.index(name) for name in wanted_names], dtype=np.intp)
 
 
 def is_strange_driving(rows: FloatArray, ordinary: OrdinaryDriving, feature_names: Sequence[str]) -> BoolArray:
