@@ -41,6 +41,9 @@ WATCH_PERIOD_S = 1.0
 """How often the unit looks at what a new bundle does; a misleading one stays for no longer than that."""
 CATCH_UP_PERIOD_S = 10.0
 """How often the unit tries what a missing date or a full disk kept it from at the start."""
+RESTORE_BEFORE_SERVING_S = 2.0
+"""How long a start restores windows before it answers anybody, the newest vehicles first: some thousands, which is all
+of them on most roads. The rest follows while vehicles are answered."""
 
 
 def run(settings: Settings) -> None:
@@ -129,7 +132,7 @@ async def _run(settings: Settings) -> None:
 
 async def _restored(parts: Parts) -> int:
     try:
-        restored_count = await parts.unit.catch_up()
+        restored_count = await parts.unit.catch_up(within_s=RESTORE_BEFORE_SERVING_S)
     except StoreError as error:
         _log.error("window_not_restored", error=str(error))
         return 0
@@ -183,7 +186,8 @@ def _chores_of(
     chores = [
         _repeat("vital_signs", look, period_s=LOOK_PERIOD_S),
         _repeat("refresh", refresh, period_s=REFRESH_PERIOD_S),
-        _repeat("catch_up", catch_up, period_s=CATCH_UP_PERIOD_S),
+        # At once: a large window is restored while the unit answers.
+        _repeat("catch_up", catch_up, period_s=CATCH_UP_PERIOD_S, first_after_s=0.0),
         _repeat("prune", prune, period_s=parts.settings.database.prune_period_s),
         _repeat("rollout", parts.rollout.watch, period_s=WATCH_PERIOD_S),
         _repeat("drift", parts.unit.watch_drift, period_s=DRIFT_PERIOD_S),
@@ -254,13 +258,16 @@ async def _control(parts: Parts, listener: socket.socket, door: Door) -> AsyncIt
         await task
 
 
-async def _repeat(name: str, chore: Callable[[], Awaitable[object]], *, period_s: float) -> None:
+async def _repeat(
+    name: str, chore: Callable[[], Awaitable[object]], *, period_s: float, first_after_s: float | None = None
+) -> None:
+    await asyncio.sleep(period_s if first_after_s is None else first_after_s)
     while True:
-        await asyncio.sleep(period_s)
         try:
             await chore()
         except StoreError as error:
             _log.warning("chore_postponed", chore=name, error=str(error))
+        await asyncio.sleep(period_s)
 
 
 def _stop_on_signals(server: HttpServer) -> None:

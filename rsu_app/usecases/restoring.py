@@ -6,14 +6,14 @@ from collections.abc import AsyncIterator, Sequence
 
 from rsu_app.ports import ArrivalKey, CountablePassage, PassageStore
 
-PORTION_COUNT = 2_000
-"""Passages that are read back at once: some milliseconds of the event loop each, and some megabytes."""
+PORTION_COUNT = 250
+"""Passages that are read back at once: they take the event loop some 25 ms, in which nobody is answered."""
 
 
 class Restoring:
     """Hands out stored passages in portions, the newest first: what is true now comes before what was.
 
-    If the store fails, the next attempt goes on where this one stopped.
+    If the store fails, or whoever asked has enough for now, the next attempt goes on where this one stopped.
 
     Args:
         store: Remembers.
@@ -24,6 +24,11 @@ class Restoring:
         self._store = store
         self._remaining_count = limit_count
         self._before: ArrivalKey | None = None
+
+    @property
+    def done(self) -> bool:
+        """Whether there is nothing more to hand out."""
+        return self._remaining_count <= 0
 
     async def portions(self, *, since_unix_s: float) -> AsyncIterator[Sequence[CountablePassage]]:
         """Yield passages received at or after a moment, the newest portion first, each portion newest first.

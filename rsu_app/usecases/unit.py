@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
+from math import inf
 
 from roadgrip.bundle import BundleManifest
 from roadgrip.errors import StoreError, StoreFullError
@@ -28,13 +29,7 @@ from rsu_app.domain.drift import DriftReport
 from rsu_app.domain.plausibility import misdirection
 from rsu_app.domain.shadow import ShadowRecord
 from rsu_app.domain.watch import MEMORY_WINDOWS_COUNT
-from rsu_app.ports import (
-    Clock,
-    CountablePassage,
-    FrictionModel,
-    PassageEntry,
-    PassageStore,
-)
+from rsu_app.ports import Clock, CountablePassage, FrictionModel, PassageEntry, PassageStore
 from rsu_app.usecases.changes import Subscription
 from rsu_app.usecases.claims import Claim, Judges, claim_of, groups_of, judged_claims
 from rsu_app.usecases.drift_watch import LEARNED_FROM_COUNT
@@ -151,25 +146,26 @@ class RoadSideUnit:
         """What the live model says about itself."""
         return None if self._model is None else self._model.manifest
 
-    async def catch_up(self) -> int:
+    async def catch_up(self, *, within_s: float = inf) -> int:
         """Return how many estimates entered the windows by doing what a start does and could not be done yet.
 
-        Restores the windows and writes down which model is live. A clock without the date or a disk without room may
-        stand in the way of either; call it again every few seconds, it does nothing once both are done.
+        Restores the windows, for about `within_s`, and writes down which model is live. A clock without the date or a
+        disk without room may stand in the way of either; call it again every few seconds until both are done.
 
         Raises:
             StoreError: The store cannot be read.
         """
-        counted_count = 0 if self._restored else await self.restore()
+        counted_count = 0 if self._restored else await self.restore(within_s=within_s)
         if self._model_noted_in != self._store.notes:
             await self._note_live_model()
         return counted_count
 
-    async def restore(self) -> int:
-        """Return how many estimates entered the windows again from what the store remembers.
+    async def restore(self, *, within_s: float = inf) -> int:
+        """Return how many estimates entered the windows again from what the store remembers, the newest first.
 
         Needs a plausible wall clock, since a stored passage has no other age; without one nothing is restored.
-        Passages that were ingested meanwhile are not counted twice.
+        Passages that were ingested meanwhile are not counted twice. After `within_s` it stops behind a portion, and
+        the next call goes on from there.
 
         Raises:
             StoreError: The store cannot be read.
@@ -177,13 +173,15 @@ class RoadSideUnit:
         if not self._clock_watch.plausible:
             return 0
         since_unix_s = self._clock.unix_s() - self._memory_s
-        counted_count = 0
+        counted_count, enough_at_s = 0, self._clock.monotonic_s() + within_s
         async for portion in self._restoring.portions(since_unix_s=since_unix_s):
             unix_s, monotonic_s = self._clock.unix_s(), self._clock.monotonic_s()
             for passage in portion:
                 age_s = unix_s - passage.estimate.left_unix_s
                 counted_count += self._admit(passage, left_at_s=monotonic_s - age_s, age_s=age_s, earlier=True)
-        self._restored = True
+            if self._clock.monotonic_s() >= enough_at_s:
+                break
+        self._restored = self._restoring.done
         self.refresh()
         return counted_count
 

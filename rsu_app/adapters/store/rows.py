@@ -8,7 +8,7 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from sqlalchemy import Connection, and_, delete, func, or_, select, true
+from sqlalchemy import Connection, delete, func, or_, select, true, tuple_
 from sqlalchemy.dialects.sqlite import insert as sqlite_insert
 from sqlalchemy.exc import IntegrityError
 
@@ -119,14 +119,8 @@ def passages_since(
     connection: Connection, *, since_unix_s: float, limit_count: int, before: ArrivalKey | None = None
 ) -> list[CountablePassage]:
     """Return what was received since a moment and arrived before another; the newest of it, oldest first."""
-    earlier = (
-        true()
-        if before is None
-        else or_(
-            _P.received_unix_s < before[0],
-            and_(_P.received_unix_s == before[0], _P.sequence_number < before[1]),
-        )
-    )
+    # A comparison of pairs, by which the index finds the place; two comparisons with an "or" read all that is newer.
+    earlier = true() if before is None else tuple_(_P.received_unix_s, _P.sequence_number) < before
     newest_first = connection.execute(
         select(*_ESTIMATE_COLUMNS, _P.table_digest, _P.features, _P.received_unix_s, _P.sequence_number)
         .where(_P.received_unix_s >= since_unix_s, earlier)

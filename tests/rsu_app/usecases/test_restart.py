@@ -147,6 +147,21 @@ def test_a_large_window_comes_back_in_portions(monkeypatch):
     asyncio.run(story())
 
 
+def test_a_start_that_has_no_more_time_restores_the_newest_and_goes_on_with_the_rest_later(monkeypatch):
+    monkeypatch.setattr(restoring, "PORTION_COUNT", 4)
+
+    async def story():
+        site = Site()
+        await site.ingest_many(11)
+        again = site.restarted(limits=UnitLimits(recall_count=3))
+        assert await again.unit.catch_up(within_s=0.0) == 4
+        await again.ingest_many(1, first_seed=50)  # who comes meanwhile counts, too
+        assert [await again.unit.catch_up(within_s=0.0) for _ in range(3)] == [4, 3, 0]
+        assert again.interval().passages_count == 12
+
+    asyncio.run(story())
+
+
 def test_restoring_goes_on_where_the_store_failed(monkeypatch):
     monkeypatch.setattr(restoring, "PORTION_COUNT", 4)
 

@@ -10,7 +10,7 @@ import pytest
 
 from roadgrip.errors import ConfigurationError, StoreError
 from roadgrip.records import NotCounted
-from rsu_app.adapters.store import WriterLimits, open_store
+from rsu_app.adapters.store import WriterLimits, open_store, rows
 from rsu_app.adapters.store.connection import reading_engine, writing_engine
 from rsu_app.adapters.store.schema import REVISION
 from rsu_app.adapters.store.sqlite import PRUNE_BATCH_COUNT
@@ -328,3 +328,20 @@ def test_any_file_name_will_do(tmp_path, name):
 def test_limits_that_cannot_work_are_refused(limits):
     with pytest.raises(ConfigurationError):
         WriterLimits(**limits)
+
+
+def test_an_earlier_portion_of_the_window_is_found_without_reading_what_is_newer(path):
+    async def story():
+        async with opened(path) as store:
+            await store.append([make_entry(seed) for seed in range(4)])
+
+    asyncio.run(story())
+    asked: list[str] = []
+    with reading_engine(path).connect() as connection:
+        driver = connection.connection.driver_connection
+        assert isinstance(driver, sqlite3.Connection)
+        driver.set_trace_callback(asked.append)
+        rows.passages_since(connection, since_unix_s=0.0, limit_count=2, before=(NOON_UNIX_S, 3))
+    (statement,) = (text for text in asked if text.startswith("SELECT"))
+    ((*_, plan),) = query(path, f"EXPLAIN QUERY PLAN {statement}")
+    assert "passages_received (received_unix_s>? AND received_unix_s<?)" in plan
