@@ -62,7 +62,14 @@ QUICK = Effort(
     load.Effort(warm_count=400, measured_s=2.0, paced_s=2.0, overload_s=1.0, after_s=3.0),
     beside_peers.Effort(turn_s=0.3, turns_count=2),
     floors.Effort(
-        echoes_count=20_000, requests_count=3_000, commits_count=40, model_s=0.2, turn_count=1_000, turns_count=3
+        echoes_count=20_000,
+        requests_count=3_000,
+        commits_count=40,
+        model_s=0.2,
+        turn_count=1_000,
+        turns_count=3,
+        paced_turns_count=2,
+        paced_s=1.0,
     ),
     size.Effort(passages_count=4_000, blocks_count=4, idle_s=5.0, starts_count=1),
 )

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from bench.appliance.http_load import ask, get
+from bench.appliance.load import PACE_PER_S
 from bench.appliance.passages import DEFAULT_BUNDLE, default_manifest, draw_batch, golden_drives
 from bench.appliance.processes import cpu_s, running, wait_until
 from bench.appliance.rsu import serving
@@ -40,6 +41,8 @@ class Effort:
         commits_count: Commits.
         turn_count: Passages that the unit is sent in one turn beside the barest server.
         turns_count: Such turns.
+        paced_turns_count: Turns at a steady pace, where latency and the cost of small batches show.
+        paced_s: Length of each.
         model_s: For the model, each way.
     """
 
@@ -48,6 +51,8 @@ class Effort:
     commits_count: int = 400
     turn_count: int = 2_000
     turns_count: int = 15
+    paced_turns_count: int = 6
+    paced_s: float = 3.0
     model_s: float = 1.0
 
 
@@ -68,7 +73,9 @@ def floors(folder: Path, effort: Effort, *, rng: np.random.Generator) -> dict[st
 
 
 def beside_bare(folder: Path, effort: Effort, *, rng: np.random.Generator) -> dict[str, Any]:
-    """Return what a passage costs the unit and what it costs the barest server, in turns.
+    """Return what a passage costs the unit and what it costs the barest server, and how late their answers are.
+
+    In turns: with as many passages under way as make full batches, then at a steady pace.
 
     The speed of a rented machine changes by the second, and what it does to one server it does to the other. So the
     ratio of two costs says more than either; see `bench.appliance.floor_servers.BareUnit`.
@@ -93,6 +100,10 @@ def beside_bare(folder: Path, effort: Effort, *, rng: np.random.Generator) -> di
         turns = [
             [_cost_us(whose, line, count, rng=rng) for whose, line, count in asked] for _ in range(effort.turns_count)
         ]
+        paced = [
+            [_paced(whose, line, effort.paced_s, rng=rng) for whose, line, _ in asked]
+            for _ in range(effort.paced_turns_count)
+        ]
     unit_us, bare_us = np.array(turns).T
     return {
         "turns_us": turns,
@@ -101,6 +112,27 @@ def beside_bare(folder: Path, effort: Effort, *, rng: np.random.Generator) -> di
         "times_bare": float(np.median(unit_us / bare_us)),
         "unit_at_its_best_us": float(unit_us.min()),
         "bare_at_its_best_us": float(bare_us.min()),
+        "paced": {
+            "rate_per_s": PACE_PER_S,
+            "turns": paced,
+            **{
+                f"{name}_{figure}": float(np.median([turn[place][figure] for turn in paced]))
+                for place, name in enumerate(("unit", "bare"))
+                for figure in paced[0][place]
+            },
+        },
+    }
+
+
+def _paced(process_id: int, line: Line, duration_s: float, *, rng: np.random.Generator) -> dict[str, float]:
+    batch = draw_batch(int(PACE_PER_S * duration_s), rng=rng)
+    frames, began_s = batch.frames(), cpu_s(process_id)
+    done = exchange(line, frames, batch.tag, rate_per_s=PACE_PER_S)
+    took_ms = 1e3 * done.latency_s
+    return {
+        "us": 1e6 * (cpu_s(process_id) - began_s) / done.count(ACCEPTED),
+        "latency_q50_ms": float(np.quantile(took_ms, 0.5)),
+        "latency_q99_ms": float(np.quantile(took_ms, 0.99)),
     }
 
 

@@ -140,6 +140,13 @@ were set on it took {REFERENCE_BARE_PER_S:,.0f}. A passage costs the unit **{bar
 as much as it costs that server, the median of {len(bare["turns_us"])} turns. At the speed of that other
 machine this ratio means
 {REFERENCE_BARE_PER_S / bare["times_bare"]:,.0f} passages a second and core.
+
+At a steady {bare["paced"]["rate_per_s"]:,.0f} a second, again in {len(bare["paced"]["turns"])} turns, batches are small and
+every caller comes to cold caches: a passage costs the unit {bare["paced"]["unit_us"]:.0f} µs and the barest server
+{bare["paced"]["bare_us"]:.0f}. From the frame to the answer the unit takes {_ms(bare["paced"]["unit_latency_q50_ms"])}
+in the median and 99 % within {_ms(bare["paced"]["unit_latency_q99_ms"])}, the barest server
+{_ms(bare["paced"]["bare_latency_q50_ms"])} and {_ms(bare["paced"]["bare_latency_q99_ms"])}: what of the 99 % is the
+machine's and what is the unit's.
 """
 
 
@@ -343,8 +350,8 @@ process has
 {window["rss_mb"]:.0f} MB resident, {window["rss_at_start_mb"]:.0f} MB when it started; the database has
 {window["database_mb"]:.0f} MB. Doing nothing for
 {window["idle_s"]:.0f} s it takes {window["idle_cpu_frac"]:.2%} of a core. Started again it is ready after
-{restart["ready_s"]:.1f} s with {restart["window_count"]:,.0f} vehicles in its
-windows.
+{restart["ready_s"]:.1f} s with the newest {restart["window_at_ready_count"]:,.0f} vehicles in its windows; after
+{restart["whole_s"]:.1f} s they are whole.
 
 A passage costs {window["cost_last_to_first_quarter_ratio"]:.2f} times as much in the last quarter of the filling as
 in the first.
@@ -355,6 +362,12 @@ in the first.
 
 def _start(parts: Mapping[str, Any]) -> str:
     start = parts["start"]
+    bill = list(start["memory_mb"].items())
+    rows: list[dict[str, str | float]] = [
+        {"of the memory": name, "MB": f"{size_mb:.1f}"} for name, size_mb in bill[:LARGEST_PACKAGES_COUNT]
+    ]
+    rest_mb = sum(size_mb for _, size_mb in bill[LARGEST_PACKAGES_COUNT:])
+    rows.append({"of the memory": f"{len(bill) - len(rows)} more", "MB": f"{rest_mb:.1f}"})
     return f"""## Start
 
 From starting the process to the first answer that it is ready: {start["ready_s"]:.2f} s (median of several starts in
@@ -362,7 +375,10 @@ turn with the
 imports); {start["first_start_ready_s"]:.2f} s the first time, when it makes its database. Python alone imports the
 same {start["modules_count"]:,}
 modules in {start["import_s"]:.2f} s. The target is the larger of 2 s and the imports with {IMPORT_MORE_S} s more.
-"""
+
+What these modules and the models take of the memory, {sum(start["memory_mb"].values()):.0f} MB together:
+
+{table_of(rows, number_format="")}"""
 
 
 def _install(parts: Mapping[str, Any]) -> str:

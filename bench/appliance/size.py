@@ -5,6 +5,7 @@ And whether a passage costs the same however many vehicles are in the window.
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -26,6 +27,7 @@ from bench.speed.footprint import installed
 
 SETTLE_S = 75.0
 """After the last passage, before the unit counts as idle: once a minute it looks at what came, for drift."""
+RESTORE_LIMIT_S = 300.0
 _BYTES_PER_MB = 1e6
 _IMPORT_ALL = """
 import contextlib, importlib, sys
@@ -73,7 +75,16 @@ def window_and_memory(folder: Path, effort: Effort, *, rng: np.random.Generator)
         idle = _idle_frac(unit, effort.idle_s)
         full_mb, database_bytes = unit.resident_mb, unit.metric("roadgrip_store_bytes")
     with serving(folder) as unit:
-        restart = {"ready_s": unit.ready_s, "window_count": unit.metric("roadgrip_window_passages")}
+        began_s, at_ready_count = time.perf_counter(), unit.metric("roadgrip_window_passages")
+        while unit.metric("roadgrip_window_passages") < points[-1]["window_count"]:
+            if time.perf_counter() - began_s > RESTORE_LIMIT_S:
+                raise TimeoutError(f"the window is not restored after {RESTORE_LIMIT_S:.0f} s")
+            time.sleep(0.5)
+        restart = {
+            "ready_s": unit.ready_s,
+            "window_at_ready_count": at_ready_count,
+            "whole_s": unit.ready_s + time.perf_counter() - began_s,
+        }
     costs = np.array([point["cpu_us_per_passage"] for point in points])
     quarter = max(1, len(costs) // 4)
     return {
@@ -90,7 +101,9 @@ def window_and_memory(folder: Path, effort: Effort, *, rng: np.random.Generator)
 
 
 def starts(folder: Path, effort: Effort) -> dict[str, Any]:
-    """Return how long the unit takes to be ready, and how long Python takes to import what it then has imported."""
+    """Return how long the unit takes to be ready, how long Python takes to import what it then has imported, and what
+    of its memory that is, package by package.
+    """
     with serving(folder) as unit:
         first_s = unit.ready_s  # makes its database
     modules = _imported_by_daemon(folder)
@@ -107,11 +120,19 @@ def starts(folder: Path, effort: Effort) -> dict[str, Any]:
             preexec_fn=_on_measured_core,
         )
         import_s.append(time.perf_counter() - began_s)
+    weighed = subprocess.run(
+        [sys.executable, "-m", "bench.appliance.memory_bill"],
+        input="\n".join(modules),
+        text=True,
+        check=True,
+        stdout=subprocess.PIPE,
+    )
     return {
         "ready_s": median(ready_s),
         "import_s": median(import_s),
         "first_start_ready_s": first_s,
         "modules_count": len(modules),
+        "memory_mb": json.loads(weighed.stdout),
     }
 
 
