@@ -101,8 +101,9 @@ def window_and_memory(folder: Path, effort: Effort, *, rng: np.random.Generator)
 
 
 def starts(folder: Path, effort: Effort) -> dict[str, Any]:
-    """Return how long the unit takes to be ready, how long Python takes to import what it then has imported, and what
-    of its memory that is, package by package.
+    """Return how long the unit takes to be ready, and how long its imports take, and how much memory.
+
+    Python imports by itself what the daemon has imported when it is ready, in the same order.
     """
     with serving(folder) as unit:
         first_s = unit.ready_s  # makes its database

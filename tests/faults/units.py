@@ -77,6 +77,13 @@ class FragileUnit(Daemon):
         """Return the ids of all passages in the database."""
         return [row[0] for row in self.rows("SELECT passage_id FROM passages")]
 
+    def window_count_once(self, wanted_count: int, *, seconds: float = 30.0) -> int:
+        """Return how many vehicles count once so many do, or else in the end: a large window is restored later."""
+        until_s = time.monotonic() + seconds
+        while (count := self.window_count()) != wanted_count and time.monotonic() < until_s:
+            time.sleep(0.05)
+        return count
+
 
 class _Forked:
     """A process of `multiprocessing`, with the face of one of `subprocess`."""
