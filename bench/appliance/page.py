@@ -144,7 +144,8 @@ machine this ratio means
 At a steady {bare["paced"]["rate_per_s"]:,.0f} a second, again in {len(bare["paced"]["turns"])} turns, batches are
 small and every caller comes to cold caches: a passage costs the unit {bare["paced"]["unit_us"]:.0f} µs and the barest
 server {bare["paced"]["bare_us"]:.0f}. From the frame to the answer the unit takes
-{_ms(bare["paced"]["unit_latency_q50_ms"])} in the median and 99 % within {_ms(bare["paced"]["unit_latency_q99_ms"])}, the barest server
+{_ms(bare["paced"]["unit_latency_q50_ms"])} in the median and 99 % within
+{_ms(bare["paced"]["unit_latency_q99_ms"])}, the barest server
 {_ms(bare["paced"]["bare_latency_q50_ms"])} and {_ms(bare["paced"]["bare_latency_q99_ms"])}: what of the 99 % is the
 machine's and what is the unit's.
 """
