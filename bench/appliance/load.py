@@ -64,7 +64,9 @@ def over_udp(folder: Path, effort: Effort, *, rng: np.random.Generator) -> dict[
         taken = _at_its_own_pace(unit, line, effort, rng=rng)
         paced = _paced(line, rate_per_s=PACE_PER_S, duration_s=effort.paced_s, rng=rng)
         figures = {**taken, "sources_count": SOURCES_COUNT, "paced": _latency_figures(paced)}
-        figures["overload"] = _overload(unit, line, effort, taken_per_s=taken["passages_per_s"], rng=rng)
+        figures["overload"] = _overload(
+            unit, line, effort, taken_per_s=taken["passages_per_s"], usual_s=usual_s(paced), rng=rng
+        )
     return figures
 
 
@@ -142,9 +144,13 @@ def _latency_figures(done: Exchange) -> dict[str, Any]:
 
 
 def _overload(
-    unit: Unit, line: Line, effort: Effort, *, taken_per_s: float, rng: np.random.Generator
+    unit: Unit, line: Line, effort: Effort, *, taken_per_s: float, usual_s: float, rng: np.random.Generator
 ) -> dict[str, Any]:
-    """Return what ten times too much leads to, and how long it is felt."""
+    """Return what ten times too much leads to, and how long it is felt.
+
+    Recovered is what accepts everything as soon as it usually does. Where that is later than the latency asked for,
+    the overload is not to blame; from when on that one is kept is told, too.
+    """
     rate_per_s = OVERLOAD_TIMES * taken_per_s
     flood = draw_batch(max(1, int(rate_per_s * effort.overload_s)), rng=rng)
     after = draw_batch(int(PACE_PER_S * effort.after_s), rng=rng)
@@ -168,7 +174,12 @@ def _overload(
         "unaccounted_count": sent_count - dropped_count - counted["frames_received_count"],
         "resident_before_mb": before_mb,
         "resident_after_mb": highest_mb,
-        "after": {**_latency_figures(back), "recovered_after_s": recovered_after_s(back)},
+        "after": {
+            **_latency_figures(back),
+            "usual_ms": 1e3 * usual_s,
+            "recovered_after_s": recovered_after_s(back, limit_s=max(usual_s, LATENCY_LIMIT_S)),
+            "in_time_after_s": recovered_after_s(back, limit_s=LATENCY_LIMIT_S),
+        },
         "timeline": timeline(back),
     }
 
@@ -218,7 +229,12 @@ def timeline(done: Exchange) -> list[dict[str, float | None]]:
     return rows
 
 
-def recovered_after_s(done: Exchange, *, limit_s: float = LATENCY_LIMIT_S) -> float | None:
+def usual_s(done: Exchange) -> float:
+    """Return how late receipts are in the slowest `BIN_S` of an ordinary time, as `recovered_after_s` looks at them."""
+    return 1e-3 * max((row["latency_q99_ms"] for row in timeline(done) if row["latency_q99_ms"] is not None), default=0)
+
+
+def recovered_after_s(done: Exchange, *, limit_s: float) -> float | None:
     """Return from when on every passage was accepted and 99 % of them in time; None if that never lasted.
 
     Args:

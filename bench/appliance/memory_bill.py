@@ -27,7 +27,7 @@ def _resident_mb() -> float:
 
 def main() -> None:
     """Weigh what the standard input names."""
-    bill = collections.Counter({PYTHON: _resident_mb()})
+    bill: collections.defaultdict[str, float] = collections.defaultdict(float, {PYTHON: _resident_mb()})
     for name in sys.stdin.read().split():
         before_mb = _resident_mb()
         with contextlib.suppress(ImportError):
@@ -38,7 +38,7 @@ def main() -> None:
 
     _kept = load_bundle(Path(str(files("rsu_app") / "default_bundle")))
     bill[MODELS] += _resident_mb() - before_mb
-    print(json.dumps(dict(bill.most_common())))
+    print(json.dumps(dict(sorted(bill.items(), key=lambda entry: -entry[1]))))
 
 
 if __name__ == "__main__":

@@ -58,9 +58,7 @@ TARGETS = (
     ),
     Target("udp_signed_passages_per_s_per_core", "the same, signed both ways", 2_500, at_least=True),
     Target("p99_ms_at_1000", "last frame to receipt at 1,000/s, 99 %", 25, at_least=False, unit=" ms"),
-    Target(
-        "recovery_s", "all in order again after a tenfold overload", 5, at_least=False, number_format=".2f", unit=" s"
-    ),
+    Target("recovery_s", "as before again after a tenfold overload", 5, at_least=False, number_format=".2f", unit=" s"),
     Target("http_frames_per_s_per_core", "passages over HTTP, frames", 2_000, at_least=True),
     Target("http_json_per_s_per_core", "passages over HTTP, JSON", 1_200, at_least=True),
     Target("reads_per_s_per_core", "reads, advisory and map in turn", 4_000, at_least=True),
