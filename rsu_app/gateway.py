@@ -11,7 +11,9 @@ messages, and turns what the unit says into frames again::
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable
+import asyncio
+from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import structlog
@@ -44,7 +46,7 @@ from roadgrip.records import (
     Rejected,
 )
 from roadgrip.wire import decode_message, encode_message, kind_of
-from rsu_app.intake import PassageIntake
+from rsu_app.intake import PassageIntake, into
 from rsu_app.observability import Metrics
 from rsu_app.rate import RateLimit
 from rsu_app.sender_guards import SenderGuards
@@ -191,14 +193,11 @@ class FrameGateway:
         """Return the receipt of a passage, after the commit that holds it; nothing if the budget is used up."""
         return await self.settling(passage, via=via)
 
-    def settling(self, passage: Passage, *, via: str) -> Awaitable[tuple[OutFrames, ...]]:
-        """Return what waits for the receipt of a passage, which is in work from now on; see `settle`."""
-        outcome = self._intake.expect(passage, via=via)
-
-        async def receipt() -> tuple[OutFrames, ...]:
-            return self._receipt(passage, await outcome)
-
-        return receipt()
+    def settling(self, passage: Passage, *, via: str) -> asyncio.Future[tuple[OutFrames, ...]]:
+        """Return what will hold the receipt of a passage, which is in work from now on; see `settle`."""
+        receipt: asyncio.Future[tuple[OutFrames, ...]] = asyncio.get_running_loop().create_future()
+        self._intake.offer(passage, via=via, answer=into(receipt, partial(self._receipt, passage)))
+        return receipt
 
     def settle_later(self, passage: Passage, *, via: str, send: Callable[[tuple[OutFrames, ...]], object]) -> None:
         """Hand the receipt of a passage to `send`, once, after the commit that holds it.

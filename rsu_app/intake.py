@@ -6,7 +6,7 @@ import asyncio
 import time
 from collections.abc import Callable
 from functools import lru_cache, partial
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import structlog
 
@@ -20,7 +20,7 @@ from rsu_app.rate import RateLimit
 from rsu_app.usecases import AcceptedAgain, RoadSideUnit
 
 _log = structlog.get_logger("roadgrip")
-
+T = TypeVar("T")
 
 BATCH_COUNT = 128
 """Passages that are judged together at most: some milliseconds, in which the event loop does nothing else."""
@@ -87,22 +87,9 @@ class PassageIntake:
             passage: What a vehicle claims.
             via: The transport, "udp", "http" or "json".
         """
-        return await self.expect(passage, via=via)
-
-    def expect(self, passage: Passage, *, via: str) -> asyncio.Future[Outcome]:
-        """Return what will hold the outcome of a passage, which is in work from now on; see `receive`."""
-        future: asyncio.Future[Outcome] = asyncio.get_running_loop().create_future()
-
-        def answer(outcome: Outcome | Exception) -> None:
-            if future.done():  # whoever asked has stopped waiting
-                return
-            if isinstance(outcome, Exception):
-                future.set_exception(outcome)
-            else:
-                future.set_result(outcome)
-
-        self.offer(passage, via=via, answer=answer)
-        return future
+        outcome: asyncio.Future[Outcome] = asyncio.get_running_loop().create_future()
+        self.offer(passage, via=via, answer=into(outcome, lambda told: told))
+        return await outcome
 
     def offer(self, passage: Passage, *, via: str, answer: Callable[[Outcome | Exception], object]) -> None:
         """Let `answer` hear once what became of a passage, or which bug it met; see `receive`.
@@ -202,6 +189,23 @@ class PassageIntake:
             quality=int(passage.summary.quality),
             took_s=round(duration_s, 6),
         )
+
+
+def into(future: asyncio.Future[T], made_of: Callable[[Outcome], T]) -> Callable[[Outcome | Exception], None]:
+    """Return what lets a future hold what is made of an outcome, or the bug, unless nobody waits for it any more."""
+
+    def answer(outcome: Outcome | Exception) -> None:
+        if future.done():
+            return
+        if isinstance(outcome, Exception):
+            future.set_exception(outcome)
+            return
+        try:
+            future.set_result(made_of(outcome))
+        except Exception as error:  # noqa: BLE001 - whoever waits must hear of it
+            future.set_exception(error)
+
+    return answer
 
 
 class TimedModel:

@@ -3,8 +3,9 @@ import asyncio
 import pytest
 from structlog.testing import capture_logs
 
-from roadgrip.records import NotCounted, Passage
-from rsu_app.intake import flag_names
+from roadgrip.records import Accepted, NotCounted, Outcome, Passage
+from rsu_app.intake import flag_names, into
+from rsu_app.usecases import AcceptedAgain
 from tests.rsu_app.fakes import make_passage, make_section
 from tests.rsu_app.sites import make_unit
 
@@ -47,3 +48,27 @@ def test_latency_is_measured_by_the_machines_clock():
     asyncio.run(under_test.intake.receive(make_passage(SECTION), via="udp"))
     assert under_test.count("roadgrip_ingest_duration_seconds_count") == 1
     assert under_test.count("roadgrip_ingest_in_flight") == 0
+
+
+def test_a_passage_counts_though_its_sender_has_stopped_waiting():
+    async def story():
+        under_test, passage = make_unit(section=SECTION), make_passage(SECTION)
+        asking = asyncio.create_task(under_test.intake.receive(passage, via="http"))
+        await asyncio.sleep(0.0)
+        asking.cancel()
+        assert isinstance(await under_test.intake.receive(passage, via="http"), AcceptedAgain)
+
+    asyncio.run(story())
+
+
+def test_whoever_waits_hears_of_an_answer_that_cannot_be_written():
+    def unwritable(_: Outcome) -> str:
+        raise OverflowError("too long")
+
+    async def story():
+        answer: asyncio.Future[str] = asyncio.get_running_loop().create_future()
+        into(answer, unwritable)(Accepted())
+        with pytest.raises(OverflowError):
+            await answer
+
+    asyncio.run(story())
