@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import mmap
+import os
 import shutil
 import struct
 import subprocess
@@ -12,6 +13,8 @@ from functools import cache
 from hashlib import sha256
 from pathlib import Path
 from tempfile import gettempdir
+
+from tests.faults.power_cut import calls
 
 SOURCE = Path(__file__).with_name("machine.c")
 FIELDS = (
@@ -51,8 +54,14 @@ class Machine:
         self.whole()
 
     def join(self) -> tuple[str, str, str, str]:
-        """Return what a process tells `take_over` to live on this machine."""
+        """Return what a process tells `take_over` to live on this machine; the one before it has ended."""
         log = str(self.log_path) if self._recorded else ""
+        if log:
+            # Who was killed may have left half a record, or a whole one that was not counted any more.
+            content = self.log_path.read_bytes()
+            whole_bytes = max((call.end for call in calls(content)), default=0)
+            os.truncate(self.log_path, whole_bytes)
+            self.set(recorded_bytes=whole_bytes)
         return str(self.folder), f"{self.folder}/{self._beginning}", str(self._control_path), log
 
     def set(self, **values: int) -> None:

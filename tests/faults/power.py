@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import random
 import tempfile
 import time
@@ -9,7 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from tests.faults.machine import Machine
-from tests.faults.power_cut import boundaries, cuts, restore
+from tests.faults.power_cut import boundaries, cuts, restore, within_copying
 from tests.faults.remains import judge, opened
 from tests.faults.scenario import Finding, Scenario, Stage
 from tests.faults.traffic import Traffic, section_of
@@ -38,23 +39,36 @@ def power_cuts(stage: Stage) -> Finding:
 
 
 def power_cuts_after_failed_syncs(stage: Stage) -> Finding:
-    """Record a unit under load whose `fsync` fails for a moment, twice, and cut the power at random moments."""
+    """Record two lives of a unit under load whose `fsync` fails now and then, and cut the power at random moments.
+
+    It fails when the first life is ended by a kill, too: the second begins with a log that is not on the disk.
+    """
     chance = stage.chance
     machine, folder = _machine(stage)
-    with FragileUnit(folder, machine=machine, broken=stage.broken, small_log=True) as unit:
-        traffic = _traffic(unit, machine, chance)
-        with traffic.driving(unit):
-            for _ in range(2):
+    traffic: Traffic | None = None
+    for last_life in (False, True):
+        with FragileUnit(folder, machine=machine, broken=stage.broken, small_log=True) as unit:
+            traffic = traffic or _traffic(unit, machine, chance)
+            with traffic.driving(unit):
+                for _ in range(1 if last_life else 2):
+                    traffic.wait_for(len(traffic.acknowledged) + LIFE_PASSAGES_COUNT // 3)
+                    _fail_to_sync(machine, chance)
+                    machine.whole()
                 traffic.wait_for(len(traffic.acknowledged) + LIFE_PASSAGES_COUNT // 3)
-                machine.set(sync_errno=5)
-                time.sleep(chance.uniform(*SYNC_FAILS_S))
-                machine.whole()
-            traffic.wait_for(len(traffic.acknowledged) + LIFE_PASSAGES_COUNT)
-            unit.kill()
+                if not last_life:
+                    _fail_to_sync(machine, chance)
+                unit.kill()
+        machine.whole()
+    assert traffic is not None
     finding = _cut_and_look(stage, machine, traffic, chance)
     finding.expect(machine.refused_count, "no call of fsync failed")
     finding.expect(traffic.refused["store_unavailable"], "nobody was refused while fsync failed")
     return finding
+
+
+def _fail_to_sync(machine: Machine, chance: random.Random) -> None:
+    machine.set(sync_errno=errno.EIO)
+    time.sleep(chance.uniform(*SYNC_FAILS_S))
 
 
 def _machine(stage: Stage) -> tuple[Machine, Path]:
@@ -74,8 +88,9 @@ def _cut_and_look(stage: Stage, machine: Machine, traffic: Traffic, chance: rand
     """Cut the power at random moments of a recording, and look at what is left each time."""
     log = machine.log_path.read_bytes()
     known = sorted(boundaries(log))
+    dangerous = within_copying(log) or known
     count = min(stage.runs_count, CUTS_PER_RECORDING_COUNT)
-    moments = [*(chance.choice(known) for _ in range(count - 1)), known[-1]]
+    moments = [*(chance.choice(chance.choice((known, dangerous))) for _ in range(count - 1)), known[-1]]
     found = Finding(acknowledged_count=len(traffic.acknowledged), problems=list(traffic.strange))
     found.figures["log_calls"] = len(known)
     for moment, files in cuts(log, moments, chance=chance):
@@ -119,10 +134,11 @@ SCENARIOS = (
         name="power-cut-after-failed-fsync",
         promise="What an fsync that failed did not make last is never counted on later: nothing acknowledged before, "
         "meanwhile or after is lost in a later power cut.",
-        conditions="as power-cut, while fsync fails with EIO twice for up to 0.4 s; pages of a failed fsync count as "
-        "clean and are lost, as Linux has it",
-        runs_count=500,
+        conditions="as power-cut, while fsync fails with EIO three times for up to 0.4 s, the last time until SIGKILL, "
+        "and once in the life that follows; pages of a failed fsync count as clean and are lost, as Linux has it; "
+        "every other cut while the log is copied behind an fsync that succeeded after one that failed",
+        runs_count=1_500,
         perform=power_cuts_after_failed_syncs,
-        controls=("the log is read back after a failure", "synchronous = NORMAL"),
+        controls=("the log is read back after a failure", "the log is worked in as it is", "synchronous = NORMAL"),
     ),
 )

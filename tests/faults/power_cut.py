@@ -186,6 +186,26 @@ def boundaries(log: bytes) -> list[int]:
     return [0, *(call.end for call in calls(log))]
 
 
+def within_copying(log: bytes, *, calls_count: int = 40) -> list[int]:
+    """Return the moments in which a log was being copied that an `fsync` had failed for not long before.
+
+    These are behind writes to a database, up to so many calls after the `fsync` of another file that succeeded where
+    the one before it had failed: there SQLite is in danger of taking for lasting what is not.
+    """
+    failed: set[int] = set()
+    recovered, left_count, moments = 0, 0, []
+    for call in calls(log):
+        if call.kind == "S":
+            if call.offset and call.inode in failed:
+                recovered, left_count = call.inode, calls_count
+            (failed.discard if call.offset else failed.add)(call.inode)
+        if left_count:
+            left_count -= 1
+            if call.kind == "W" and call.inode != recovered and len(call.data) == PAGE_BYTES:
+                moments.append(call.end)
+    return moments
+
+
 def restore(files: dict[str, bytes], *, folder: Path, into: Path, beginning: str) -> None:
     """Write files that a power cut left into another folder; only those whose name begins so, and no shared memory."""
     for name, content in files.items():

@@ -12,6 +12,7 @@ import time
 import zlib
 from calendar import timegm
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -58,6 +59,11 @@ def _pragma(setting: str) -> Callable[[], None]:
 
 def _read_the_log_back() -> None:
     _replace(f"{_STORE}.connection", "make_log_last", lambda _: lambda _: None)
+
+
+def _work_the_log_in() -> None:
+    for place in ("connection", "recovery"):
+        _replace(f"{_STORE}.{place}", "log_left_alone", lambda _: lambda _path: nullcontext())
 
 
 def _acknowledge_first() -> None:
@@ -199,6 +205,7 @@ SABOTAGES: dict[str, Callable[[], None]] = {
     "synchronous = OFF": _pragma("synchronous = OFF"),
     "synchronous = NORMAL": _pragma("synchronous = NORMAL"),
     "the log is read back after a failure": _read_the_log_back,
+    "the log is worked in as it is": _work_the_log_in,
     "acknowledge before the commit": _acknowledge_first,
     "a failed write is called stored": _call_it_stored,
     "the window is not restored": _restore_nothing,

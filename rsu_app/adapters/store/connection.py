@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sqlite3
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, closing, contextmanager, nullcontext, suppress
 from pathlib import Path
 from urllib.parse import quote
 
@@ -58,8 +58,8 @@ def make_log_last(connection: sqlite3.Connection) -> None:
         OSError: The log cannot be written. The connection must not be used.
     """
     database_path = str(connection.execute("PRAGMA database_list").fetchone()[2])
-    log_path = Path(database_path + "-wal")
-    if not database_path or not log_path.exists() or not log_path.stat().st_size:
+    log_path = _log_path(Path(database_path)) if database_path else None
+    if log_path is None:
         return
     # Nobody may append meanwhile. SQLite holds its locks on the other two files, so that closing this one loses none.
     connection.execute("BEGIN IMMEDIATE")
@@ -71,6 +71,30 @@ def make_log_last(connection: sqlite3.Connection) -> None:
             os.fsync(log.fileno())
     finally:
         connection.execute("ROLLBACK")
+
+
+@contextmanager
+def log_left_alone(database_path: Path) -> Iterator[None]:
+    """Keep SQLite from working the log into the database when a connection to it is closed meanwhile.
+
+    The last connection that closes does so, behind an fsync of the log. Where one failed before, this one succeeds
+    without doing anything (see `make_log_last`), and a power cut while pages are copied leaves a database that is
+    half new and a log that does not hold the other half. Another connection that is open keeps the first from being
+    the last; one that can only read copies nothing when it is closed itself.
+    """
+    with ExitStack() as stack:
+        if _log_path(database_path) is not None:
+            # One that cannot be read has nothing copied into it, either.
+            with suppress(sqlite3.Error):
+                guard = stack.enter_context(closing(sqlite3.connect(_address(database_path, mode="ro"), uri=True)))
+                guard.execute("SELECT 1 FROM sqlite_schema").fetchone()
+        yield
+
+
+def _log_path(database_path: Path) -> Path | None:
+    """Return where the log of a database lies, None if it has none or an empty one."""
+    path = database_path.with_name(database_path.name + "-wal")
+    return path if path.exists() and path.stat().st_size else None
 
 
 def apply_reader_pragmas(connection: sqlite3.Connection) -> None:
@@ -142,16 +166,22 @@ def store_error(error: DBAPIError | sqlite3.Error | OSError, *, doing: str) -> S
 def _engine(
     database_path: Path, *, mode: str, prepare: Callable[[sqlite3.Connection], None], poolclass: type[Pool]
 ) -> Engine:
-    address = f"file:{quote(str(database_path.absolute()))}?mode={mode}"
+    address = _address(database_path, mode=mode)
 
     def connect() -> sqlite3.Connection:
-        # isolation_level None: the module begins no transactions of its own, the events above do.
-        connection = sqlite3.connect(address, uri=True, isolation_level=None, check_same_thread=False)
-        try:
-            prepare(connection)
-        except (sqlite3.Error, OSError):
-            connection.close()
-            raise
-        return connection
+        # One that cannot be prepared is closed, and its log may not be on the disk.
+        with nullcontext() if mode == "ro" else log_left_alone(database_path):
+            # isolation_level None: the module begins no transactions of its own, the events above do.
+            connection = sqlite3.connect(address, uri=True, isolation_level=None, check_same_thread=False)
+            try:
+                prepare(connection)
+            except (sqlite3.Error, OSError):
+                connection.close()
+                raise
+            return connection
 
     return create_engine("sqlite://", creator=connect, poolclass=poolclass)
+
+
+def _address(database_path: Path, *, mode: str) -> str:
+    return f"file:{quote(str(database_path.absolute()))}?mode={mode}"

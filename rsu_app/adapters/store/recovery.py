@@ -14,7 +14,7 @@ from pathlib import Path
 from urllib.parse import quote
 
 from roadgrip.errors import StoreDamagedError, StoreError
-from rsu_app.adapters.store.connection import store_error
+from rsu_app.adapters.store.connection import log_left_alone, store_error
 
 KEPT_COUNT = 2
 """Damaged databases that are kept; older ones are deleted, or damage after damage would fill the disk."""
@@ -39,7 +39,7 @@ def damage(database_path: Path) -> str | None:
     if not database_path.exists():
         return None
     try:
-        with closing(sqlite3.connect(database_path)) as connection:
+        with log_left_alone(database_path), closing(sqlite3.connect(database_path)) as connection:
             verdict = str(connection.execute("PRAGMA quick_check(1)").fetchone()[0])
     except sqlite3.Error as error:
         problem = store_error(error, doing=f"examining {database_path}")
@@ -69,8 +69,8 @@ def keep_damaged_log(database_path: Path, *, now_unix_s: float) -> tuple[str, Pa
         return None
     try:
         content = log_path.read_bytes()
-        with closing(sqlite3.connect(database_path)) as connection:
-            # Reading makes SQLite look through the log; closing would have it emptied, so the copy is made before.
+        with log_left_alone(database_path), closing(sqlite3.connect(database_path)) as connection:
+            # Reading makes SQLite look through the log.
             connection.execute("SELECT 1 FROM sqlite_schema").fetchone()
             found = log_problem(content, read_count=_read_frames_count(database_path))
             if found is None:

@@ -112,6 +112,11 @@ def _sound_notes(database_path: Path, *, suspected: bool) -> tuple[str, ...]:
     if found is not None:
         moved_to = move_aside(database_path, now_unix_s=time.time())
         notes.append(f"the database was damaged ({found}); it lies in {moved_to.name} and a fresh one was begun")
+    elif spoilt_log is not None:
+        # What can be read of the log is worked into the database when this connection is closed. What lies behind it
+        # would be found again at the next start.
+        with only_transaction(writing_engine(database_path), doing=f"emptying the log of {database_path}"):
+            pass
     for note in notes:
         _log.error("database_damaged", note=note)
     return tuple(notes)

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import shutil
 import sqlite3
 from contextlib import closing
@@ -10,7 +11,7 @@ import pytest
 from roadgrip.errors import StoreDamagedError, StoreError
 from roadgrip.ledger import Action
 from rsu_app.adapters.store import open_or_standby, open_store
-from rsu_app.adapters.store.connection import make_log_last
+from rsu_app.adapters.store.connection import make_log_last, only_transaction, writing_engine
 from rsu_app.adapters.store.recovery import KEPT_COUNT, damage, keep_damaged_log, move_aside
 from rsu_app.adapters.store.schema import REVISION
 from tests.rsu_app.adapters.store.stories import make_entry
@@ -198,3 +199,33 @@ def test_a_log_is_written_anew_before_anything_is_built_on_it(killed_path):
         assert log.read_bytes() == before[0]
         assert log.stat().st_mtime_ns > before[1]
         assert not connection.in_transaction
+
+
+def files_of(path):
+    return path.read_bytes(), log_of(path).read_bytes()
+
+
+@pytest.mark.parametrize("examine", [damage, lambda path: keep_damaged_log(path, now_unix_s=0.0)])
+def test_to_look_at_a_database_does_not_work_its_log_into_it(killed_path, examine):
+    before = files_of(killed_path)
+    assert examine(killed_path) is None
+    assert files_of(killed_path) == before
+
+
+def test_a_log_that_cannot_be_made_last_is_not_worked_into_the_database(killed_path, monkeypatch):
+    def refuse(_):
+        raise OSError(errno.EIO, "as after a bad block")
+
+    before = files_of(killed_path)
+    with monkeypatch.context() as patch:
+        patch.setattr("os.fsync", refuse)
+        with pytest.raises(StoreError), only_transaction(writing_engine(killed_path), doing="writing"):
+            pass
+    assert files_of(killed_path) == before
+    assert count_and_notes(killed_path) == (30, ())
+
+
+def test_a_spoilt_log_is_told_once(killed_path):
+    spoil(log_of(killed_path), at_byte=20)
+    assert count_and_notes(killed_path)[1]
+    assert count_and_notes(killed_path)[1] == ()
