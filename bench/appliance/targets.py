@@ -96,16 +96,18 @@ MISSES: Mapping[str, str] = {
     "udp_times_bare": _PYTHON,
     "udp_signed_passages_per_s_per_core": "a signature verified and one made come on top of what an unsigned passage "
     "costs; next: the same, and receipts of a batch under one signature",
-    "p99_ms_at_1000": "in the slow minutes of this machine 1,000 a second is all that a core does in batches of ten, "
-    "each of which costs milliseconds beside its passages; next: fewer calls of array functions for small batches, "
-    "and a thread of its own that copies SQLite's log",
-    "recovery_s": "what the kernel had kept of the flood is worked off within some seconds; after that the 25 ms are "
-    "missed for the reason above",
+    "p99_ms_at_1000": "met in the quick minutes of this machine only: in its slow ones 1,000 a second in batches of "
+    "four are all that a core does, since each batch comes to cold caches, and passages queue; the barest server in "
+    "turns with it has room left ([beside the barest server](#beside-the-barest-server)); a pause before the next "
+    "batch was tried and makes everybody wait longer; next: fewer calls of array functions for small batches, and a "
+    "thread of its own that copies SQLite's log",
+    "recovery_s": "what the kernel had kept of the flood is worked off within some seconds, as long as the unit can be "
+    "faster than what still arrives; next: a smaller `udp.receive_buffer_bytes`, and what the cost of a passage needs",
     "http_frames_per_s_per_core": _HTTP,
     "http_json_per_s_per_core": _HTTP,
     **{f"{way}_times_{peer.key}": _PEERS for way in ("udp", "http") for peer in PEERS},
-    "rss_mb": "140 MB are there before the first passage: 25 of them SQLAlchemy, 20 onnxruntime, 20 the models, 17 "
-    "numpy, 16 FastAPI and Pydantic; next: SQLAlchemy into the tools that migrate, and out of the unit",
+    "rss_mb": "most of it is there before the first passage ([what it consists of](#start)), 26 MB are the windows and "
+    "what is remembered of passages; next: SQLAlchemy into the tools that migrate, and out of the unit",
     "install_mb": "54 MB of it are bytecode, which pip makes; the Debian package has 191 MB with its bytecode, since "
     "it leaves out what a unit never runs",
 }

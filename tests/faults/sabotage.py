@@ -95,7 +95,7 @@ def _call_it_stored() -> None:
 
 
 def _restore_nothing() -> None:
-    async def restore(_: object) -> int:
+    async def restore(_: object, *, within_s: float) -> int:
         return 0
 
     _replace("rsu_app.usecases:RoadSideUnit", "restore", lambda _: restore)
