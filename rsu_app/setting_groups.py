@@ -276,9 +276,12 @@ class UdpSettings(Group):
         description="Detections that are broadcast in a second, over all sections; more are refused as `busy`.",
     )
     receive_buffer_bytes: int = Field(
-        default=4_194_304,
+        # Some 800 datagrams. A vehicle repeats what was not answered within half a second, so what would wait longer is
+        # better dropped: with 4 MB a unit worked for seconds on what was left of a flood.
+        default=524_288,
         ge=65_536,
-        description="Socket buffer asked for, so that a burst of vehicles is not dropped by the kernel.",
+        description="Socket buffer asked for: what waits there for its turn. More bears a larger burst of vehicles, and "
+        "makes the unit slower to recover from a flood.",
     )
 
 

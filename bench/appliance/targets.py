@@ -105,7 +105,7 @@ MISSES: Mapping[str, str] = {
     "batch was tried and makes everybody wait longer; next: fewer calls of array functions for small batches, and a "
     "thread of its own that copies SQLite's log",
     "recovery_s": "what the kernel had kept of the flood is worked off within some seconds, as long as the unit can be "
-    "faster than what still arrives; next: a smaller `udp.receive_buffer_bytes`, and what the cost of a passage needs",
+    "faster than what still arrives; next: what the cost of a passage needs",
     "http_frames_per_s_per_core": _HTTP,
     "http_json_per_s_per_core": _HTTP,
     **{f"{way}_times_{peer.key}": _PEERS for way in ("udp", "http") for peer in PEERS},
