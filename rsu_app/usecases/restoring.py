@@ -7,7 +7,7 @@ from collections.abc import AsyncIterator, Sequence
 from rsu_app.ports import ArrivalKey, CountablePassage, PassageStore
 
 PORTION_COUNT = 250
-"""Passages that are read back at once: they take the event loop some 25 ms, in which nobody is answered."""
+"""Passages that are read back at once: meanwhile nobody is answered, so they are few."""
 
 
 class Restoring:
