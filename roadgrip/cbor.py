@@ -7,7 +7,7 @@ the same bytes again, so a message has one digest, and there is no second spelli
 
 from __future__ import annotations
 
-from typing import Any, NoReturn
+from typing import Any, NoReturn, cast
 
 import cbor2
 
@@ -57,7 +57,7 @@ def strict_loads(data: bytes) -> Any:
         )
         # The proof of determinism is also that of completeness: a byte behind the item would be missing here. The order
         # of keys is looked at apart, which takes half the time of having them sorted.
-        if cbor2.dumps(value) == data and _in_order(value):
+        if cbor2.dumps(value) == data and _is_ours(value):
             return value
         problem = "not the deterministic encoding, or bytes behind it"
     except (cbor2.CBORError, ValueError, TypeError, OverflowError, RecursionError, MemoryError) as error:
@@ -65,26 +65,35 @@ def strict_loads(data: bytes) -> Any:
     raise WireError(Reason.MALFORMED, f"CBOR: {problem[:120]}")
 
 
-def _in_order(value: object) -> bool:
-    """Return whether the keys of every map are whole numbers in order: ascending, the negative ones at the end."""
-    if type(value) is dict:
+def _is_ours(value: object) -> bool:
+    """Return whether a value is made of what messages are made of, and the keys of every map are in order.
+
+    They are whole numbers: ascending, the negative ones at the end. Floats and simple values have several spellings or
+    no meaning here. What lies within two tags comes as the kind of map and list that cannot be changed.
+    """
+    kind = type(value)
+    if kind in _PLAIN:
+        return True
+    if kind in _MAPS:
         last = (False, -1)
-        for key, inner in value.items():
+        for key, inner in cast("dict[object, object]", value).items():
             if type(key) is not int:
                 return False
             place = (key < 0, abs(key))
             if place <= last:
                 return False
             last = place
-            if type(inner) in _CONTAINERS and not _in_order(inner):
+            if not _is_ours(inner):
                 return False
         return True
-    if type(value) is list:
-        return all(_in_order(inner) for inner in value if type(inner) in _CONTAINERS)
-    return type(value) is not cbor2.CBORTag or _in_order(value.value)
+    if kind in _LISTS:
+        return all(map(_is_ours, cast("list[object]", value)))
+    return kind is cbor2.CBORTag and _is_ours(cast("cbor2.CBORTag", value).value)
 
 
-_CONTAINERS = frozenset({dict, list, cbor2.CBORTag})
+_PLAIN = frozenset({int, bytes, str})
+_MAPS = frozenset({dict, cbor2.frozendict})
+_LISTS = frozenset({list, tuple})
 
 
 def _our_tag(tag: cbor2.CBORTag, immutable: bool) -> cbor2.CBORTag:  # noqa: ARG001, FBT001 - cbor2 calls it so

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from roadgrip.cbor import strict_dumps, strict_loads
@@ -207,7 +208,9 @@ def authorities_of(public_keys: list[Ed25519PublicKey]) -> dict[bytes, Ed25519Pu
     return {key_id_of(key): key for key in public_keys}
 
 
+@lru_cache(maxsize=256)
 def _header_of(certificate_id: bytes, claims: Claims) -> bytes:
+    # What a unit claims is the same for all receipts of a second about one section.
     header: dict[int, Any] = {_ALGORITHM: _EDDSA, _CERTIFICATE_ID: certificate_id}
     said: dict[int, Any] = {}
     if claims.section_id:

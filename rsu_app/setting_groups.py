@@ -280,8 +280,8 @@ class UdpSettings(Group):
         # better dropped: with 4 MB a unit worked for seconds on what was left of a flood.
         default=524_288,
         ge=65_536,
-        description="Socket buffer asked for: what waits there for its turn. More bears a larger burst of vehicles, and "
-        "makes the unit slower to recover from a flood.",
+        description="Socket buffer asked for: what waits there for its turn. More bears a larger burst of vehicles, "
+        "and makes the unit slower to recover from a flood.",
     )
 
 

@@ -13,6 +13,7 @@ from roadgrip.ledger import Action
 from rsu_app.adapters.store import ledger_rows
 from rsu_app.adapters.store.connection import (
     apply_reader_pragmas,
+    make_log_last,
     only_transaction,
     store_error,
     writing_engine,
@@ -81,6 +82,10 @@ def in_use(database_path: Path) -> bool:
             # Readers of a database with a log share it with its writer, unless one wants it for itself.
             connection.execute("PRAGMA locking_mode = EXCLUSIVE").fetchone()
             connection.execute("SELECT count(*) FROM sqlite_schema").fetchone()
+            # Who has it alone works its log into it when closing.
+            make_log_last(connection)
+    except OSError as error:
+        raise store_error(error, doing=f"looking whether {database_path} is in use") from error
     except sqlite3.DatabaseError as error:
         code = getattr(error, "sqlite_errorcode", 0) & 0xFF
         if code in {sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED}:

@@ -10,7 +10,7 @@ import pytest
 
 from roadgrip.errors import StoreDamagedError, StoreError
 from roadgrip.ledger import Action
-from rsu_app.adapters.store import open_or_standby, open_store
+from rsu_app.adapters.store import in_use, open_or_standby, open_store
 from rsu_app.adapters.store.connection import make_log_last, only_transaction, writing_engine
 from rsu_app.adapters.store.recovery import KEPT_COUNT, damage, keep_damaged_log, move_aside
 from rsu_app.adapters.store.schema import REVISION
@@ -223,6 +223,19 @@ def test_a_log_that_cannot_be_made_last_is_not_worked_into_the_database(killed_p
             pass
     assert files_of(killed_path) == before
     assert count_and_notes(killed_path) == (30, ())
+
+
+def test_a_log_is_written_anew_before_asking_who_uses_a_database_works_it_in(killed_path, monkeypatch):
+    log, made_last = log_of(killed_path), []
+    content, written_ns = log.read_bytes(), log.stat().st_mtime_ns
+
+    def note(descriptor):
+        made_last.append((log.read_bytes() == content, log.stat().st_mtime_ns > written_ns))
+
+    monkeypatch.setattr("os.fsync", note)
+    assert not in_use(killed_path)
+    assert made_last == [(True, True)]
+    assert not log.exists()
 
 
 def test_a_spoilt_log_is_told_once(killed_path):
