@@ -134,12 +134,15 @@ def private_key_in(pem: bytes, *, password: bytes | None = None) -> Ed25519Priva
     Raises:
         ConfigurationError: It holds no such key, or is encrypted otherwise.
     """
-    from cryptography.exceptions import UnsupportedAlgorithm
+    from cryptography.exceptions import InternalError, UnsupportedAlgorithm
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
     from cryptography.hazmat.primitives.serialization import load_pem_private_key
 
     try:
         key = load_pem_private_key(pem, password=password)
+    except InternalError as error:
+        # What the library makes of a key with a byte too many or too few. Its words are about the library.
+        raise ConfigurationError("not a private key in PEM that can be opened: its bytes are no key") from error
     except (ValueError, TypeError, UnsupportedAlgorithm) as error:
         raise ConfigurationError(f"not a private key in PEM that can be opened: {error}") from error
     if not isinstance(key, Ed25519PrivateKey):

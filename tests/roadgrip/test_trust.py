@@ -58,7 +58,14 @@ def test_key_and_certificate_must_belong_together():
         credential_in(mixed)
 
 
-@pytest.mark.parametrize("pem", [b"", b"not a key", public_pem_of(AUTHORITY_KEY)])
+# An Ed25519 private key of 33 bytes instead of 32.
+OVERLONG_KEY = b"""-----BEGIN PRIVATE KEY-----
+MC8CAQAwBQYDK2VwBCMEIQABAgMEBQYHCAkKCwwNDg8QERITFBUWFxgZGhscHR4fIA==
+-----END PRIVATE KEY-----
+"""
+
+
+@pytest.mark.parametrize("pem", [b"", b"not a key", public_pem_of(AUTHORITY_KEY), OVERLONG_KEY])
 def test_what_is_no_private_key_is_a_configuration_error(pem):
     with pytest.raises(ConfigurationError):
         private_key_in(pem)
