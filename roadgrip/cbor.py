@@ -30,9 +30,10 @@ _OUR_TAGS = frozenset({TAG_SIGN1, TAG_INT16_LE, TAG_INT32_LE, TAG_FLOAT32_LE})
 
 
 def strict_dumps(value: object) -> bytes:
-    """Return the deterministic encoding of a value; map keys must be small unsigned integers.
+    """Return the deterministic encoding of a value; map keys must be whole numbers as those of our messages.
 
-    For such keys the old canonical order, which cbor2 implements, and that of RFC 8949 are the same.
+    For such keys the old canonical order, which cbor2 implements, and that of RFC 8949 are the same; `strict_loads`
+    refuses those for which they differ: a negative key beside a larger one that is spelled longer.
     """
     return cbor2.dumps(value, canonical=True)
 
@@ -68,23 +69,22 @@ def strict_loads(data: bytes) -> Any:
 def _is_ours(value: object) -> bool:
     """Return whether a value is made of what messages are made of, and the keys of every map are in order.
 
-    They are whole numbers: ascending, the negative ones at the end. Floats and simple values have several spellings or
-    no meaning here. What lies within two tags comes as the kind of map and list that cannot be changed.
+    They are whole numbers, ascending, the negative ones at the end and the longer spelled ones behind the shorter: so
+    RFC 8949 and the order that it replaced, in which cbor2 writes, agree. Floats and simple values have several
+    spellings or no meaning here. What lies within two tags comes as the kind of map and list that cannot be changed.
     """
     kind = type(value)
     if kind in _PLAIN:
         return True
     if kind in _MAPS:
-        last = (False, -1)
+        last, last_size = (False, -1), 0
         for key, inner in cast("dict[object, object]", value).items():
             if type(key) is not int:
                 return False
-            place = (key < 0, abs(key))
-            if place <= last:
+            place, size = (key < 0, abs(key)), 1 if -24 <= key < 24 else len(cbor2.dumps(key))
+            if place <= last or size < last_size or not _is_ours(inner):
                 return False
-            last = place
-            if not _is_ours(inner):
-                return False
+            last, last_size = place, size
         return True
     if kind in _LISTS:
         return all(map(_is_ours, cast("list[object]", value)))

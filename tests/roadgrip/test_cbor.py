@@ -6,7 +6,12 @@ from roadgrip.cbor import strict_dumps, strict_loads
 from roadgrip.errors import WireError
 from roadgrip.reasons import Reason
 
-OURS = {"number": "19 03e8", "text": "63 616263", "map": "a2 00 01 20 02", "array in a map": "a1 00 82 01 02"}
+OURS = {
+    "number": "19 03e8",
+    "text": "63 616263",
+    "map": "a3 00 01 20 02 3a 00011170 03",
+    "array in a map": "a1 00 82 01 02",
+}
 OTHERS = {
     "a float in its longest spelling": "fb 3ff0000000000000",
     "a float in its shortest spelling": "f9 3c00",
@@ -16,6 +21,8 @@ OTHERS = {
     "a number in a longer spelling": "18 01",
     "an array without an end": "9f 01 ff",
     "keys out of order": "a2 02 00 01 00",
+    "keys that old and new canonical order sort differently": "a2 18 18 00 20 00",
+    "those, the other way round": "a2 20 00 18 18 00",
     "a text as a key": "a1 61 61 00",
     "a key given twice": "a2 01 00 01 00",
 }
